@@ -1,4 +1,4 @@
-"""Arguments of several commands, and printing of results."""
+"""Arguments shared by several commands, and printing of results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PLOT_FORMATS = (".png", ".pdf", ".svg")
 
 
 def check_plot(path: Path | None) -> None:
-    """Raises `ConfigurationError` for a file name of no known picture format."""
+    """Raises `ConfigurationError` for a file name with an unknown picture format."""
     if path is not None and path.suffix.lower() not in _PLOT_FORMATS:
         raise ConfigurationError(
             "Unknown kind of picture.", got=path, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
@@ -33,5 +33,5 @@ def check_plot(path: Path | None) -> None:
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:
-    """Prints one JSON object (paths as text), or text."""
+    """Prints one JSON object (paths as text) or a text."""
     print(json.dumps(values, default=str) if as_json else text)

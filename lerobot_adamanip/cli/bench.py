@@ -1,4 +1,4 @@
-"""`adamanip bench`: measure collection, simulation, observation, training and action on this machine."""
+"""`adamanip bench`: measures collection, simulation, observation, training and action on this machine."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ LIMITS = {
     "simulator.rendered_by_cast": ("at least", 7.0),
     "action_ms.fast.batch_1": ("at most", 100.0),
 }
-"""Expected on two CPU cores without a GPU."""
+"""Expected values on two CPU cores without a GPU."""
 Numbers = dict[str, Any]
 
 
@@ -32,17 +32,17 @@ Numbers = dict[str, Any]
 class Bench:
     """Measure speed on this machine: medians of several repeats after a warm-up. Progress goes to stderr.
 
-    What is compared is measured in turns, so ratios hold on a busy machine too; times do not.
+    Compared items are measured alternately, so ratios also hold on a busy machine; times do not.
     """
 
     quick: bool = False
-    """Measure fewer episodes and repeats."""
+    """Measure with fewer episodes and repeats."""
 
     workers: int = 2
-    """Number of collecting processes."""
+    """Number of collection processes."""
 
     batch_size: int = 64
-    """Rows of a training step."""
+    """Batch size of a training step."""
 
     device: str = "cpu"
     """Device of the policy: cpu or cuda."""
@@ -54,7 +54,7 @@ class Bench:
     """Print one JSON object instead of a table."""
 
     def run(self) -> int:
-        """Measures and prints; returns 0 even if a limit is missed."""
+        """Measures and prints. Returns 0 even if a limit is missed."""
         import torch
 
         wrong = self.device not in ("cpu", "cuda") or (self.device == "cuda" and not torch.cuda.is_available())
@@ -62,7 +62,7 @@ class Bench:
             raise ConfigurationError(
                 "Cannot measure that.",
                 got=f"--device {self.device} --workers {self.workers} --batch-size {self.batch_size}",
-                allowed="cpu, or cuda where there is a GPU; 1 or more",
+                allowed="cpu, or cuda on a machine with a GPU; 1 or more",
                 hint="adamanip bench --device cpu",
             )
         with contextlib.redirect_stdout(sys.stderr):
@@ -97,7 +97,7 @@ class Bench:
 
 
 def add_limits(results: Numbers) -> Numbers:
-    """Adds ``limits``: name -> value, limit, and whether it holds."""
+    """Adds ``limits``: name -> value, limit, and whether the limit holds."""
     flat = flatten(results)
     limits = {
         name: {

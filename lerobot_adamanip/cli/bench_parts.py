@@ -31,12 +31,12 @@ SEED = 2025
 OBJECTS = 4
 STEPS_PER_REPEAT = 20
 PRESETS = ("diffusion", "fast")
-"""Presets of dp3_adaptive that are compared."""
+"""Compared presets of dp3_adaptive."""
 Numbers = dict[str, Any]
 
 
 def median_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
-    """Returns the median time of each action [ms], after a warm-up; they take turns."""
+    """Returns the median time of each action [ms] after a warm-up. The actions alternate."""
     times: dict[str, list[float]] = {name: [] for name in actions}
     for _ in range(1 + repeats):
         for name, action in actions.items():
@@ -47,7 +47,7 @@ def median_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[st
 
 
 def collection(root: Path, category: str, per_object: int, workers: int) -> Numbers:
-    """Collects adaptive demonstrations into ``root``; returns episodes per minute, with the simulators' start."""
+    """Collects adaptive demonstrations into ``root``. Returns episodes per minute, including simulator start."""
     names = tuple(object_id(category, number) for number in range(OBJECTS))
     environment = EnvironmentOptions(category, observe_images=False)
     spec = CollectionSpec(environment, names, episodes_per_object=per_object, seed=SEED)
@@ -61,7 +61,7 @@ def collection(root: Path, category: str, per_object: int, workers: int) -> Numb
 
 
 def simulator(category: str, repeats: int) -> Numbers:
-    """Returns control steps and key frames per second, and the time of a rendered cloud in ray-cast clouds."""
+    """Returns control steps and key frames per second, and the time ratio of rendered to ray-cast clouds."""
     from lerobot_env_adamanip.simulator import make_task
 
     task = make_task(category, objects=object_id(category, 0))
@@ -93,7 +93,7 @@ def _key_frames_per_second(category: str) -> float:
 
 
 def observation(category: str, repeats: int) -> dict[str, dict[str, float]]:
-    """Returns cloud source -> median time of an observation after a key frame of an expert [ms]."""
+    """Returns cloud source -> median observation time after an expert's key frame [ms]."""
     from lerobot_env_adamanip.simulator import make_task
 
     result = {}
@@ -123,12 +123,12 @@ def _observation_ms(task: Any, repeats: int) -> float:
 
 
 class Policies:
-    """Times of dp3_adaptive's presets on a dataset.
+    """Measures dp3_adaptive's presets on a dataset.
 
     Args:
-        root: folder of the dataset; read when something is measured.
-        batch_size: of a training step.
-        device: of the policies.
+        root: folder of the dataset, read at the first measurement.
+        batch_size: batch size of a training step.
+        device: device of the policies.
     """
 
     def __init__(self, root: Path, batch_size: int, device: str) -> None:
@@ -150,7 +150,7 @@ class Policies:
         return {preset: {name: times[name][preset] for name in sizes} for preset in PRESETS}
 
     def _policy(self, preset: str) -> tuple[Any, Any, Any, Any]:
-        """Returns policy, preprocessor, postprocessor and dataset, as lerobot-train makes them."""
+        """Returns policy, preprocessor, postprocessor and dataset as created by lerobot-train."""
         from lerobot_policy_adamanip import DP3AdaptiveConfig
 
         meta = LeRobotDatasetMetadata(f"local/{self.root.name}", root=self.root)

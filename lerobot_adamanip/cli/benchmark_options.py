@@ -1,4 +1,4 @@
-"""Options of `adamanip benchmark`, apart from its work: the help shall import nothing heavy."""
+"""Options of `adamanip benchmark`. A separate module, so that the help imports fast."""
 
 from __future__ import annotations
 
@@ -13,48 +13,48 @@ DEFAULT_SCALE = "cpu"
 
 @dataclass
 class BenchmarkOptions:
-    """What to run, and how; see `lerobot_adamanip.cli.benchmark.Benchmark`."""
+    """Options of a benchmark; see `lerobot_adamanip.cli.benchmark.Benchmark`."""
 
     scale: str | None = None
-    """How much of everything: smoke shows that all of it runs, cpu is for two cores, full for a GPU. May be left out,
-    for cpu, where --methods or --categories choose some of its cells."""
+    """Size of the benchmark. smoke: a short test of every step. cpu: for two cores. full: for a GPU. Default: cpu, if
+    options such as --methods or --categories select some of its cells."""
 
     config: Path | None = None
-    """Declaration of methods, demonstrations and scales (TOML), instead of the paper's table."""
+    """TOML file that declares methods, demonstrations and scales. Default: the paper's table."""
 
     out: Path = Path("outputs/benchmark")
-    """Folder of everything it makes; results are in OUT/SCALE/cells, the table in OUT/SCALE/report."""
+    """Output folder. Results are in OUT/SCALE/cells, the table in OUT/SCALE/report."""
 
     methods: str = ""
-    """Only these: names separated by commas."""
+    """Run only these methods: names separated by commas, e.g. dp3_adaptive."""
 
     categories: str = ""
-    """Only these: names separated by commas."""
+    """Run only these categories: names separated by commas, e.g. safe,door."""
 
     splits: str = ""
-    """Only tests on these objects: of seen, unseen, novel, separated by commas."""
+    """Run only tests on these object splits: seen, unseen, novel, separated by commas."""
 
     seeds: str = ""
-    """Only trainings of these seeds, separated by commas."""
+    """Run only trainings with these seeds, separated by commas, e.g. 1000,1001."""
 
     list_cells: Annotated[bool, tyro.conf.arg(name="list")] = False
-    """Only list the cells, and how far each is; run nothing."""
+    """List the cells with their progress and run nothing."""
 
     report: bool = False
-    """Only write the table, of the results there are; run nothing."""
+    """Write the table of the existing results and run nothing."""
 
     workers: int = 2
-    """Processes that collect demonstrations; with --cluster actors, 0: one per CPU. Does not change a result."""
+    """Processes that collect demonstrations; with --cluster actors, 0 for one per CPU. Does not change a result."""
 
     jobs: int = 1
-    """Commands that run at once, each with its share of the cores: two trainings on one core each take less time than
-    one after the other on two."""
+    """Number of parallel commands, which share the cores. Two trainings on one core each finish sooner than one after
+    the other on two cores."""
 
     cluster: str | None = None
     """Ray cluster that collects demonstrations: HOST:PORT, auto or local. Trainings and tests run here."""
 
     insecure_cluster: bool = False
-    """Use a cluster that demands no token: anyone who reaches its ports runs code on it."""
+    """Use a cluster without a token: anyone who reaches its ports can run code on it."""
 
     json: bool = False
     """Print one JSON object. Progress goes to stderr."""

@@ -38,19 +38,19 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
 def run_benchmark(options: BenchmarkOptions) -> int:
-    """Lists, runs or reports; 0, 1 if a cell failed, 130 after Ctrl-C."""
+    """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
     declaration = with_packages(read_declaration(options.config or PAPER_TABLE))
     scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
     cells = select_cells(declaration, scale, **selection)
     runs_nothing = options.list_cells or options.report
     _check(options, len(cells), is_chosen=runs_nothing or any((options.scale, options.config, *selection.values())))
-    with contextlib.redirect_stdout(sys.stderr):  # what libraries print must not get into the JSON
+    with contextlib.redirect_stdout(sys.stderr):  # library output must not get into the JSON
         made = _benchmark(options, declaration, scale)
         try:
             states = [made.state(cell) for cell in cells] if runs_nothing else _run_cells(made, cells)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
-            print(f"Interrupted. What is done is kept. To go on:\n  {command}")
+            print(f"Interrupted. Finished work is kept. To resume:\n  {command}")
             return EXIT_INTERRUPTED
         written = {} if options.list_cells else _write_report(made)
     _print(options, scale, states, written)
@@ -60,7 +60,7 @@ def run_benchmark(options: BenchmarkOptions) -> int:
 def _check(options: BenchmarkOptions, cells: int, *, is_chosen: bool) -> None:
     if not is_chosen:
         raise ConfigurationError(
-            f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day of two cores.",
+            f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day on two cores.",
             got="neither --scale nor --methods, --categories, --splits, --seeds",
             allowed="one of them",
             hint=f"--methods dp3_adaptive --categories safe; all of it: --scale {DEFAULT_SCALE}",
@@ -124,7 +124,7 @@ def _print(options: BenchmarkOptions, scale: str, states: Sequence[CellState], w
 
 
 def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
-    """Runs what is missing of the cells, with progress on stderr; SIGTERM ends the commands that run, too."""
+    """Runs the unfinished cells, with progress on stderr. SIGTERM also ends the running commands."""
     states = []
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     try:
@@ -139,7 +139,7 @@ def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
 
 
 def _write_report(made: BenchmarkRun) -> dict[str, str]:
-    """Writes the report of all results in the folder as Markdown, CSV and pictures; returns their paths."""
+    """Writes the report of all results in the folder as Markdown, CSV and pictures. Returns the paths."""
     stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
     report = make_report(
         read_cells(made.folder.cells),
@@ -174,6 +174,6 @@ def _state_json(state: CellState) -> dict[str, Any]:
 
 
 def _told(state: CellState) -> str:
-    """The reason, or the success, of a cell."""
+    """Returns the reason of a cell's state, or its success rate."""
     success = rate(0, 0) if state.result is None else state.result.numbers.success
     return state.reason or (interval_text(success) if success.episodes else "")

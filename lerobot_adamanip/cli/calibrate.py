@@ -1,4 +1,4 @@
-"""`adamanip calibrate`: calibrate a camera's pose."""
+"""`adamanip calibrate`: calibrates a camera's pose."""
 
 from __future__ import annotations
 
@@ -27,46 +27,46 @@ ENOUGH_PICTURES = 20
 class Calibrate:
     """Calibrate a camera's pose from pictures of a ChArUco board at poses of the arm.
 
-    Print the board first (--board-image). Fix it to the hand, for a camera beside the robot, or to the table, for one
-    on the hand, and take 20 pictures (--record): tilt the hand to all sides, 20 degrees and more. Without --record,
-    the pictures of the folder are used.
+    Print the board first (--board-image). Fix it to the hand for a camera beside the robot, or to the table for a
+    camera on the hand. Take 20 pictures (--record), with the hand tilted to all sides by 20 degrees and more. Without
+    --record, the command uses the pictures in the folder.
     """
 
     folder: tyro.conf.Positional[Path | None] = None
     """Folder of the pictures and poses."""
 
     out: Path | None = None
-    """Calibration file to add the camera to; other cameras in it are kept. By default the result is only printed."""
+    """Calibration file to add the camera to; other cameras in it stay. Default: only print the result."""
 
     key: str = "front"
-    """The camera's name in the robot's configuration."""
+    """Name of the camera in the robot's configuration."""
 
     record: Path | None = None
-    """Take pictures first, with the robot that this JSON file describes as --robot.* options would."""
+    """Take pictures first, with the robot of this JSON file. It holds the --robot.* options."""
 
     mounting: Literal["fixed", "wrist"] = "fixed"
     """Mounting of the camera (with --record): beside the robot, or on its hand."""
 
     board_image: Path | None = None
-    """Write the board as a picture to print at 300 dpi (.png), and stop."""
+    """Write the board as a .png picture to print at 300 dpi, and stop."""
 
     columns: int = 7
-    """Squares along the board's long side (with --record and --board-image)."""
+    """Number of squares along the board's long side (with --record and --board-image)."""
 
     rows: int = 5
-    """Squares along its short side."""
+    """Number of squares along the board's short side."""
 
     square: float = 0.040
-    """Side of a square as measured on the print [m]."""
+    """Side length of a square, measured on the print [m]."""
 
     marker: float = 0.030
-    """Side of a marker as measured on the print [m]."""
+    """Side length of a marker, measured on the print [m]."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Prints, records, solves and writes; returns 0."""
+        """Prints, records, solves and writes. Returns 0."""
         if self.board_image is not None:
             return self._print_board(self.board_image)
         if self.folder is None:
@@ -95,12 +95,12 @@ class Calibrate:
 
         if path.suffix.lower() != ".png":
             raise ConfigurationError(
-                "The board is a PNG picture.", got=path, allowed="a name that ends in .png", hint="board.png"
+                "The board must be a PNG picture.", got=path, allowed="a name that ends in .png", hint="board.png"
             )
         board = self._board()
         Image.fromarray(board.image(DOTS_PER_METRE)).save(path, dpi=(300, 300))
         size = f"{1e3 * board.columns * board.square:.0f} x {1e3 * board.rows * board.square:.0f} mm"
-        self._say(f"{path}: {size}. Print at 100 %, glue it to something flat, and measure a square.")
+        self._say(f"{path}: {size}. Print at 100 %, glue it to a flat plate, and measure a square.")
         return 0
 
     def _board(self) -> Board:
@@ -146,7 +146,7 @@ class Calibrate:
 
 
 def _wants_picture() -> bool:
-    """Waits for the user; returns False to end."""
+    """Waits for the user. Returns False to end."""
     try:
         return input("Enter takes a picture, q and Enter ends: ").strip().lower() != "q"
     except EOFError:
@@ -154,7 +154,7 @@ def _wants_picture() -> bool:
 
 
 def _facts(solved: HandEye) -> dict[str, float | str]:
-    """Returns the facts that the calibration file keeps of a result."""
+    """Returns the notes on a result that the calibration file stores."""
     return {
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "pictures": len(solved.residuals),

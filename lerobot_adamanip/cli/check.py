@@ -1,4 +1,4 @@
-"""`adamanip check`: is a dataset what it says it is?"""
+"""`adamanip check`: checks a dataset against its metadata."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from lerobot_adamanip.datasets.check.findings import Report
 
 _SHOWN = 20
-"""Findings of a kind that are printed; `--json` has more."""
+"""Maximum printed findings per kind; `--json` has more."""
 _STAGES = {"rows": "rows checked", "frames": "frames decoded", "replay": "episodes replayed"}
 
 
 @dataclass
 class Check:
-    """Checks a dataset: files, columns, counts, rows, videos, statistics, and what it says of its collection.
+    """Checks a dataset: files, columns, counts, rows, videos, statistics and collection metadata.
 
-    Exit status 0 if nothing was found, 1 if something was, 2 if there is no dataset. Only --repair changes anything.
+    Exit status: 0 without findings, 1 with findings, 2 without a dataset. Only --repair changes the dataset.
     """
 
     root: DatasetFolder
     """Folder of a LeRobotDataset."""
 
     repair: bool = False
-    """Repair what a crash has left, then check again. Every episode whose saving had ended is kept; what is taken out
-    of the dataset is moved into DIR.before-repair."""
+    """Repair the dataset after a crash, then check again. Every completely saved episode is kept. Removed files are
+    moved into DIR.before-repair."""
 
     replay: int = 0
     """Number of episodes to replay in the simulator, spread over the dataset, for example 3."""
 
     tolerance: float = 1e-4
-    """Largest difference a replay may have in any column, in its own units (m, rad, rad/s, N m)."""
+    """Maximum difference of a replay in any column, in the column's unit (m, rad, rad/s, N m)."""
 
     assets: Path | None = None
     """Folder of external assets, if the dataset was recorded with any."""
@@ -46,7 +46,7 @@ class Check:
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Checks; 0 if nothing is wrong."""
+        """Checks the dataset. Returns 0 without findings."""
         if self.replay < 0:
             raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint="--replay 3")
         from lerobot_adamanip.datasets.check.dataset import check
@@ -76,19 +76,19 @@ class Check:
 
 @dataclass
 class Repair:
-    """Repairs what a crash has left, then checks: `adamanip check --repair`.
+    """Repairs a dataset after a crash, then checks it, like `adamanip check --repair`.
 
-    Every episode whose saving had ended is kept; what is taken out of the dataset is moved into DIR.before-repair.
+    Every completely saved episode is kept. Removed files are moved into DIR.before-repair.
     """
 
     root: DatasetFolder
-    """Folder of a LeRobotDataset: demonstrations, or a robot's recording."""
+    """Folder of a LeRobotDataset: demonstrations or a robot recording."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Repairs and checks; 0 if nothing is wrong any more."""
+        """Repairs and checks. Returns 0 without remaining findings."""
         return Check(self.root, repair=True, json=self.json).run()
 
 

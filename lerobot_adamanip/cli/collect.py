@@ -1,4 +1,4 @@
-"""`adamanip collect`: record demonstrations of an expert as a LeRobotDataset."""
+"""`adamanip collect`: records demonstrations of an expert as a LeRobotDataset."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Collect:
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
     image_size: int = schema.IMAGE_SIZE
-    """Side of the front image [px]."""
+    """Side length of the front image [px]."""
 
     images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Record pictures, or fail at once on a machine that cannot render. Default: pictures where rendering works."""
@@ -140,7 +140,7 @@ class Collect:
     """Print one JSON object when done. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Collects, and publishes if asked to; 0 when the dataset is complete, 130 after Ctrl-C."""
+        """Collects, and publishes if requested. Returns 0 for a complete dataset, 130 after Ctrl-C."""
         if self.push_to_hub:
             require_hub_name(self.repo_id)
         require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")

@@ -38,8 +38,8 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
     """Returns the ids of a selection, see `select_placeable`.
 
     Raises:
-        ConfigurationError: there is no such selection, or a range of numbers includes unseen objects, which are for
-            tests and have to be selected by name.
+        ConfigurationError: the selection is unknown, or a number range includes unseen objects. These are reserved for
+            tests and must be selected by name.
     """
     names = select_placeable(categories, selection, assets, poses)
     unseen = [name for name in names if assets is None and object_split(name) == "unseen"]

@@ -1,4 +1,4 @@
-"""`adamanip doctor`: check what is installed and what renders, and say how to fix what is missing."""
+"""`adamanip doctor`: checks installation and rendering, and prints fixes."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Doctor:
     """Print {"checks": [{name, ok, required, found, advice}], "ok": bool} instead of the table."""
 
     def run(self) -> int:
-        """Runs all checks; returns 0 if every required one passes."""
+        """Runs all checks. Returns 0 if every required check passes."""
         out, checks = sys.stdout, list[Check]()
-        with contextlib.redirect_stdout(sys.stderr):  # imported packages may print; stdout is the result's
+        with contextlib.redirect_stdout(sys.stderr):  # imported packages may print, but stdout is for the result
             for check in run_checks():
                 checks.append(check)
-                if not self.json:  # at once: some checks take seconds
+                if not self.json:  # print at once, since some checks take seconds
                     mark = "ok" if check.ok else "FAIL" if check.required else "note"
                     print(f"{mark:<4}  {check.name:<22}  {check.found}", file=out, flush=True)
         ok = all(check.ok for check in checks if check.required)

@@ -28,7 +28,7 @@ PACKAGES = {
     **dict.fromkeys(("lerobot", "torch", "numpy", "gymnasium", "diffusers", "fpsample"), INSTALL),
     **dict.fromkeys(("mani-skill", "sapien", "opencv-python"), INSTALL_SIM),
 }
-"""Distribution -> how to install it."""
+"""Distribution -> install command."""
 VULKAN_ADVICE = (
     "run scripts/setup_vulkan.sh of the repository: it installs the driver or says how. Debian, Ubuntu: "
     "mesa-vulkan-drivers >= 24.3 and libvulkan1; NVIDIA: the driver's Vulkan part (in a container "
@@ -36,12 +36,12 @@ VULKAN_ADVICE = (
 )
 PROBE_TIMEOUT_S = 180.0
 MIN_FREE_GB = 5.0
-"""For a demonstration dataset, and a training run with checkpoints and videos."""
+"""Disk space for a demonstration dataset and a training run with checkpoints and videos [GB]."""
 
 
 @dataclass(frozen=True)
 class Check:
-    """Result of one check. ``required`` ones decide the exit status."""
+    """Result of one check. Only ``required`` checks determine the exit status."""
 
     name: str
     ok: bool
@@ -51,20 +51,20 @@ class Check:
 
 
 def check_python() -> Check:
-    """LeRobot 0.6 needs Python 3.12."""
+    """Checks the Python version: LeRobot 0.6 needs 3.12."""
     found = ".".join(map(str, sys.version_info[:3]))
     return Check("Python", sys.version_info >= (3, 12), found, "install Python 3.12 and run make setup")
 
 
 def check_versions() -> Iterator[Check]:
-    """Installed versions, against the ranges of this distribution and, where it leaves them open, of LeRobot."""
+    """Checks installed versions against the ranges of this distribution or, if open, of LeRobot."""
     for name, advice in PACKAGES.items():
         ok, found = _version(name)
         yield Check(name, ok, found, advice)
 
 
 def _version(name: str) -> tuple[bool, str]:
-    """Returns whether the installed version of a distribution is in range, and the version in words."""
+    """Returns whether a distribution's installed version is in range, and a text with the version."""
     ranges: dict[str, Requirement] = {}
     for source in ("lerobot", DISTRIBUTION):
         with contextlib.suppress(metadata.PackageNotFoundError):
@@ -79,7 +79,7 @@ def _version(name: str) -> tuple[bool, str]:
 
 
 def check_opencv() -> Check:
-    """opencv-python and -headless share a folder: the imported one must be below 4.14, and both the same version."""
+    """Checks OpenCV: opencv-python and -headless share a folder, so both need the same version below 4.14."""
     advice = "pip install 'opencv-python==4.13.0.92' 'opencv-python-headless==4.13.0.92' --force-reinstall --no-deps"
     try:
         import cv2
@@ -92,14 +92,14 @@ def check_opencv() -> Check:
 
 
 def check_plugin() -> Iterator[Check]:
-    """LeRobot's plugin discovery finds the environments and the policies."""
+    """Checks that LeRobot's plugin discovery finds the environments and the policies."""
     advice = f"LeRobot finds plugins by distribution name: is {DISTRIBUTION} installed in this Python?"
     try:
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.envs.configs import EnvConfig
         from lerobot.utils.import_utils import register_third_party_plugins
 
-        importlib.import_module(DISTRIBUTION)  # LeRobot only logs what goes wrong here
+        importlib.import_module(DISTRIBUTION)  # LeRobot only logs an error here
         register_third_party_plugins()
     except Exception as error:
         yield Check("LeRobot plugin", False, f"import failed: {type(error).__name__}: {error}", advice)
@@ -114,7 +114,7 @@ def check_plugin() -> Iterator[Check]:
 
 
 def run_probe(module: str) -> tuple[bool, str]:
-    """Runs a module in its own process; returns whether it succeeded, and its last line or the error."""
+    """Runs a module in a separate process. Returns whether it succeeded, and its last line or the error."""
     command = [sys.executable, "-m", module]
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S, check=False)
@@ -127,7 +127,7 @@ def run_probe(module: str) -> tuple[bool, str]:
 
 
 def check_clouds() -> Check:
-    """A ray hits a triangle: clouds need no Vulkan device."""
+    """Checks that a ray hits a triangle. Ray-cast clouds need no Vulkan device."""
     advice = f"{INSTALL_SIM}. Without embreex clouds are rendered, ten times slower and by a Vulkan device only"
     try:
         import numpy as np
@@ -145,7 +145,7 @@ def check_clouds() -> Check:
 
 
 def check_rendering() -> Check:
-    """SAPIEN renders a frame. Only pictures need it."""
+    """Checks that SAPIEN renders a frame. Only pictures need it."""
     from lerobot_env_adamanip.sim.render_device import vulkan_drivers
 
     ok, answer = run_probe("lerobot_env_adamanip.sim.render_probe")
@@ -166,7 +166,7 @@ def check_rendering() -> Check:
 
 
 def check_render_backend() -> Check:
-    """The device of `--env.render_backend=auto`."""
+    """Checks the device of `--env.render_backend=auto`."""
     from lerobot_env_adamanip.sim.render_device import can_render, resolve_render_backend
 
     if not can_render():
@@ -176,7 +176,7 @@ def check_render_backend() -> Check:
 
 
 def check_franka() -> Check:
-    """The driver of a real arm, without importing it, and the kernel."""
+    """Checks the driver of a real arm, without importing it, and the kernel."""
     advice = "pip install 'lerobot_env_adamanip[franka]'; for older arms another wheel: docs/robot.md"
     ok, version = _version("franky-control")
     realtime = Path("/sys/kernel/realtime").is_file()
@@ -185,7 +185,7 @@ def check_franka() -> Check:
 
 
 def check_cuda() -> Check:
-    """A GPU for training."""
+    """Checks for a GPU for training."""
     import torch
 
     advice = "training on a CPU works for the small policies; the paper's takes days"
@@ -195,7 +195,7 @@ def check_cuda() -> Check:
 
 
 def check_video() -> Check:
-    """A short video, encoded and decoded as LeRobotDataset does."""
+    """Checks that a short video is encoded and decoded as in LeRobotDataset."""
     ok, answer = run_probe("lerobot_adamanip.cli.video_probe")
     advice = (
         "pip install --force-reinstall --no-deps av==15.1.0; torchcodec (optional) needs FFmpeg: apt-get install ffmpeg"
@@ -204,7 +204,7 @@ def check_video() -> Check:
 
 
 def check_hub_cache() -> Check:
-    """The Hugging Face cache, where LeRobot writes datasets and models, is writable."""
+    """Checks that the Hugging Face cache, where LeRobot writes datasets and models, is writable."""
     from huggingface_hub.constants import HF_HOME
 
     try:
@@ -216,7 +216,7 @@ def check_hub_cache() -> Check:
 
 
 def check_disk() -> Check:
-    """Free space in the working directory."""
+    """Checks free space in the working directory."""
     free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
     advice = f"free some: datasets and checkpoints want {MIN_FREE_GB:.0f} GB"
     return Check("Free disk", free_gb >= MIN_FREE_GB, f"{free_gb:.0f} GB", advice, required=False)
@@ -239,7 +239,7 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
 
 
 def run_checks() -> Iterator[Check]:
-    """Runs all checks in order. A check that raises is a failed check."""
+    """Runs all checks in order. A check that raises counts as failed."""
     for check in CHECKS:
         try:
             result = check()

@@ -1,4 +1,4 @@
-"""`adamanip filter`: a dataset of the episodes that fulfil conditions."""
+"""`adamanip filter`: writes a dataset of the episodes that fulfil conditions."""
 
 from __future__ import annotations
 
@@ -14,31 +14,30 @@ from lerobot_adamanip.cli.progress import show_progress
 
 @dataclass
 class Filter:
-    """Writes a dataset with the episodes of another one that fulfil every condition.
+    """Writes a dataset with the episodes of another dataset that fulfil all conditions.
 
-    A condition compares a column of the episodes: failed_tries>=1, recoveries>0, success=true, late=false,
-    key_frames<=30, hidden.locked=true, category=safe, object_split=seen, object_id=safe_000,safe_003,
-    episode_index=0:100 (100 left out). An unknown name lists the known ones. Rows, pictures and the columns of
-    episodes are kept as they are.
+    A condition compares an episode column: failed_tries>=1, recoveries>0, success=true, late=false, key_frames<=30,
+    hidden.locked=true, category=safe, object_split=seen, object_id=safe_000,safe_003, episode_index=0:100 (100 is
+    excluded). An error for an unknown name lists the known ones. Rows, pictures and episode columns stay unchanged.
     """
 
     root: DatasetFolder
     """Folder of a dataset."""
 
     where: tyro.conf.UseAppendAction[tuple[str, ...]] = ()
-    """A condition: a column, one of = != < <= > >=, and a value. Give it again for one more; all have to hold."""
+    """Condition: a column, one of = != < <= > >=, and a value. Repeat the option for more; all must hold."""
 
     out: Path | None = None
-    """Folder of the new dataset. Without it nothing is written: the episodes are counted."""
+    """Folder of the new dataset. Default: only count the episodes."""
 
     repo_id: str | None = None
-    """Name of the new dataset. local/<folder name> by default."""
+    """Name of the new dataset. Default: local/<folder name>."""
 
     json: bool = False
     """Print one JSON object instead of text, with the indices of the episodes."""
 
     def run(self) -> int:
-        """Chooses and writes; 0 when the dataset is complete."""
+        """Selects and writes episodes. Returns 0 for a complete dataset."""
         from lerobot_adamanip.datasets.filter import filter_episodes
 
         with show_progress({"filter": "episodes written"}) as progress:

@@ -1,4 +1,4 @@
-"""`adamanip keyframes`: dense recordings of a robot to demonstrations."""
+"""`adamanip keyframes`: converts dense robot recordings to demonstrations."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": 
 class Keyframes:
     """Writes the key frames of dense recordings as a dataset that policies train on.
 
-    A recording is what `lerobot-record` made of one of our robots. Datasets of key frames, of `adamanip collect` for
-    instance, may be named as well: their episodes follow those of the recordings, as they are.
+    A recording is a dataset that `lerobot-record` wrote with one of our robots. You may add datasets of key frames,
+    e.g. from `adamanip collect`. Their episodes follow those of the recordings unchanged.
     """
 
     sources: DatasetFolders
-    """Folders of recordings, and of datasets to be mixed with them."""
+    """Folders of recordings and of datasets to mix with them."""
 
     out: Path
     """Folder of the new dataset."""
@@ -36,40 +36,40 @@ class Keyframes:
     """Camera whose depth becomes the cloud."""
 
     calibration: Path | None = None
-    """File that says where the camera stood. By default the one that the robot has left in each recording."""
+    """Camera calibration file. Default: the file that the robot stored in each recording."""
 
     num_points: int = DEFAULT_NUM_POINTS
-    """Points per cloud. In a mix, as many as the other datasets have."""
+    """Number of points per cloud. A mix uses the number of the other datasets."""
 
     images: bool = True
-    """Whether there are pictures beside the clouds."""
+    """Whether to write pictures in addition to clouds."""
 
     workspace_lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
-    """Box of the clouds, robot base frame [m]: its lower corner."""
+    """Lower corner of the box of the clouds, robot base frame [m]."""
 
     workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
-    """And its upper one."""
+    """Upper corner of the box of the clouds, robot base frame [m]."""
 
     stopped: float = 0.02
-    """An arm slower than this stands still [m/s]."""
+    """Speed below which the arm stands still [m/s]."""
 
     same_place: float = 0.01
-    """Two poses this close are one [m]."""
+    """Distance below which two poses are equal [m]."""
 
     given_up: float = 0.03
-    """A target that is replaced while still this far away was given up [m]."""
+    """Distance [m] above which a replaced target counts as abandoned."""
 
     reached: float = 0.012
-    """A target this close was reached; farther ones have stalled [m]."""
+    """Distance [m] below which a target counts as reached; farther ones count as stalled."""
 
     successful: bool = False
-    """Count episodes of roll-outs, which do not tell of success, as successes."""
+    """Count rollout episodes as successes, since rollouts record no success."""
 
     skip_still: bool = False
-    """Leave episodes out in which nothing moves, instead of ending with an error."""
+    """Skip episodes without motion instead of ending with an error."""
 
     repo_id: str | None = None
-    """Name of the new dataset. local/<folder name> by default."""
+    """Name of the new dataset. Default: local/<folder name>."""
 
     json: bool = False
     """Print one JSON object instead of text."""
@@ -95,14 +95,14 @@ class Keyframes:
         )
 
     def run(self) -> int:
-        """Converts; 0 when the dataset is complete."""
+        """Converts recordings. Returns 0 for a complete dataset."""
         from lerobot_adamanip.recordings.convert import convert
 
         with show_progress(_STAGES) as progress:
             made = convert(self.sources, self.out, self.options(), progress)
         mixed = f", and {made.simulated} of other datasets" if made.simulated else ""
         counts = f"{made.episodes} episodes, {made.key_frames} key frames of {made.ticks} ticks"
-        skipped = [f"left out, nothing moves in it: {name}" for name in made.skipped]
+        skipped = [f"skipped, nothing moves in it: {name}" for name in made.skipped]
         text = "\n".join([f"{counts}{mixed}, in {self.out}", *skipped])
         print_result(self.json, {"out": self.out, **asdict(made)}, text)
         return 0

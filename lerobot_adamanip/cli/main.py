@@ -1,4 +1,4 @@
-"""The `adamanip` command: load the subcommand, parse its options, run it, and print errors as one message."""
+"""The `adamanip` command: loads a subcommand, parses its options, runs it, and prints errors as one message."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, Simu
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 _USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark", "bench")
-"""Commands that need our environments and policies as plugins of LeRobot; the others save 3 s a process."""
+"""Commands that load our environments and policies as LeRobot plugins. The others start 3 s faster."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
 class Entry(NamedTuple):
-    """A subcommand: a class of `lerobot_adamanip.cli`, imported when it is called, and its help text.
+    """A subcommand: a class of `lerobot_adamanip.cli`, imported on call, and its help text.
 
     Attributes:
-        target: "module:Class", the class a dataclass whose fields are the options.
-        help: one line.
+        target: "module:Class". The class is a dataclass whose fields are the options.
+        help: one line of help.
     """
 
     target: str
@@ -58,11 +58,11 @@ class Command(Protocol):
     """A subcommand: a dataclass of options."""
 
     def run(self) -> int:
-        """Does the work; returns the exit status."""
+        """Runs the command and returns the exit status."""
 
 
 def usage() -> str:
-    """Returns the text of `adamanip --help`; imports no subcommand."""
+    """Returns the text of `adamanip --help`. Imports no subcommand."""
     lines = [f"  {name:<{max(map(len, COMMANDS))}}  {entry.help}" for name, entry in COMMANDS.items()]
     head = ["usage: adamanip [-h] [--version] COMMAND [OPTIONS]", "", "commands:"]
     return "\n".join([*head, *lines, "", "`adamanip COMMAND --help` lists the options."])
@@ -72,7 +72,7 @@ def load(name: str) -> type[Command]:
     """Returns the class of a subcommand.
 
     Raises:
-        ConfigurationError: there is no such subcommand, or a package it needs is not installed.
+        ConfigurationError: the subcommand is unknown, or a required package is not installed.
         SimulatorError: the simulator is not installed.
     """
     if name not in COMMANDS:
@@ -98,7 +98,7 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> AdaManipError:
 
 
 def parse(name: str, options: Sequence[str]) -> Any:
-    """Returns a subcommand with its options; exits, or raises `ConfigurationError`, for wrong ones."""
+    """Returns a subcommand with its options. Exits or raises `ConfigurationError` for wrong options."""
     command = load(name)
     check_options(name, command, options)
     import tyro
@@ -108,13 +108,13 @@ def parse(name: str, options: Sequence[str]) -> Any:
 
 
 def execute(name: str, options: Sequence[str]) -> int:
-    """Parses the options of a subcommand and runs it; returns its exit status."""
+    """Parses the options of a subcommand, runs it, and returns its exit status."""
     command = parse(name, options)
     try:
         return command.run()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in _SIMULATOR_PACKAGES:
-            raise  # a mistake of ours: the traceback is what helps
+            raise  # a bug in our code: the traceback helps
         raise _missing_package(name, error) from error
 
 
@@ -122,7 +122,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Entry point.
 
     Returns:
-        0 on success, 1 for the command's own negative result, 2 for an error of use or setup, 130 if interrupted.
+        0 on success, 1 for a negative result of the command, 2 for a usage or setup error, 130 if interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
     if not arguments or arguments[0] in ("-h", "--help"):
@@ -140,7 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
     except BrokenPipeError:
-        # The reader, for example `head`, has closed the pipe; Python must not complain again at exit.
+        # The reader, e.g. `head`, has closed the pipe. Python must not raise again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""`adamanip merge`: several datasets in one."""
+"""`adamanip merge`: merges several datasets into one."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from lerobot_adamanip.cli.progress import show_progress
 
 @dataclass
 class Merge:
-    """Writes one dataset with the episodes of several: demonstrations and corrections, or kinds of objects.
+    """Writes one dataset with the episodes of several, e.g. demonstrations and corrections, or several categories.
 
-    Rows, pictures and the columns of episodes are kept as they are. The parts of one dataset come in its order, and
-    all of them are that dataset again; others come one after another.
+    Rows, pictures and episode columns stay unchanged. Parts of a split dataset return to their original order, and all
+    parts give the same dataset again. Other datasets follow one after another.
     """
 
     roots: DatasetFolders
@@ -25,13 +25,13 @@ class Merge:
     """Folder of the new dataset."""
 
     repo_id: str | None = None
-    """Name of the new dataset. local/<folder name> by default."""
+    """Name of the new dataset. Default: local/<folder name>."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Merges; 0 when the dataset is complete."""
+        """Merges datasets. Returns 0 for a complete dataset."""
         from lerobot_adamanip.datasets.merge import merge
 
         with show_progress({"merge": "episodes written"}) as progress:
@@ -41,7 +41,7 @@ class Merge:
             text += ", all of the dataset that was split"
         if len(merged.fingerprints) > 1:
             text += (
-                f"\nMind: {len(merged.fingerprints)} versions of the code recorded them (column `fingerprint` of "
+                f"\nNote: {len(merged.fingerprints)} versions of the code recorded them (column `fingerprint` of "
                 "meta/episodes)."
             )
         print_result(self.json, {"out": self.out, **asdict(merged)}, text)

@@ -1,4 +1,4 @@
-"""Check a command line's options: unknown ones get the nearest known name."""
+"""Checks command-line options. The error for an unknown option suggests the nearest known name."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ FORMER: Mapping[str, Mapping[str, str]] = {
     "report": {"--plot": "--out", "--result": "--out"},
     "calibrate": {"--output": "--out"},
 }
-"""Subcommand -> former name of an option -> present name; DIR is the first argument."""
+"""Subcommand -> former option name -> current name. DIR is the first argument."""
 
 
 def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:
-    """Raises `ConfigurationError` for an unknown option, or a value that is not among an option's choices.
+    """Raises `ConfigurationError` for an unknown option or an invalid choice.
 
     Args:
         command: name of the subcommand.
-        options: its class, a dataclass whose fields are the options.
+        options: class of the subcommand, a dataclass whose fields are the options.
         arguments: as typed, after the subcommand.
     """
     known = dict(_options(options))
@@ -57,7 +57,7 @@ def _unknown_option(command: str, typed: str, name: str, known: Mapping[str, tup
 
 
 def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
-    """Yields the name of each option as typed, and its choices; none if it takes any value."""
+    """Yields the name of each option as typed and its choices. Options with free values have no choices."""
     from tyro.conf import Positional
 
     positional = get_args(Positional[int])[1]

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 from typing import TextIO
 
 MAX_INTERVAL_S, MAX_INTERVAL_SHARE = 15.0, 0.05
-"""A line is due after this time, or this share of the work, whichever comes first."""
+"""Time [s] and share of the work between two lines, whichever comes first."""
 MIN_INTERVAL_S = 2.0
-"""Between two lines, except for a stage's last."""
+"""Minimum time between two lines, except a stage's last one [s]."""
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, the number of finished items, and their total."""
+"""Called with a stage's name, the number of finished items and their total."""
 
 
 @dataclass
@@ -30,8 +30,8 @@ class ProgressLines:
     """Writes progress as lines of text.
 
     Attributes:
-        names: stage -> its name in a line; other stages are not written.
-        stream: to write to.
+        names: stage -> its name in a line. Other stages are not written.
+        stream: output stream.
         clock: returns the time [s].
     """
 
@@ -60,11 +60,11 @@ class ProgressLines:
 
 @contextlib.contextmanager
 def show_progress(names: Mapping[str, str], *, every_stage: bool = False) -> Iterator[Progress]:
-    """Shows progress on stderr, and redirects prints of libraries there: stdout is the result's.
+    """Shows progress on stderr and redirects library output there, since stdout is for the result.
 
     Args:
         names: stage -> its name in a line.
-        every_stage: show bars of other stages too, under their own names.
+        every_stage: also show bars of other stages, under their own names.
     """
     with contextlib.redirect_stdout(sys.stderr):
         if not sys.stderr.isatty():

@@ -1,4 +1,4 @@
-"""`adamanip push`: publish datasets, policies and the environments on the Hugging Face Hub."""
+"""`adamanip push`: publishes datasets, policies and the environments on the Hugging Face Hub."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ if TYPE_CHECKING:
 
 @dataclass
 class Push:
-    """Publish a dataset, a policy or the environments, with a card made from their content.
+    """Publishes a dataset, a policy or the environments with a card generated from their content.
 
-    Checks the files, creates the repository, uploads, moves the version's tag, and compares the Hub's files. After an
-    interruption, the same command resumes; files that have arrived are not sent again. Names of this machine are left
-    out or refused.
+    Checks the files, creates the repository, uploads, moves the version tag, and compares the Hub's files. After an
+    interruption, the same command resumes; files already uploaded are not sent again. Names of this machine are
+    removed or refused.
     """
 
     kind: tyro.conf.Positional[Literal["dataset", "model", "environment"]]
@@ -47,35 +47,35 @@ class Push:
     """Command that made the episode logs given as --results, as typed."""
 
     dataset: str | None = None
-    """Name on the Hub of a policy's training dataset; by default that of its training."""
+    """Hub name of a policy's training dataset. Default: from its training configuration."""
 
     assets: Path | None = None
-    """Folder of the external assets that a dataset was collected with, if any."""
+    """Folder of the external assets used for a dataset, if any."""
 
     category: CategoryOrAll = ALL
-    """Environment that env.py opens; all for the nine together."""
+    """Category of the environment that env.py opens; all for the nine together."""
 
     release: str | None = None
-    """Tag of this publication, for example release-1. A tag that looks like a version is refused."""
+    """Tag of this publication, e.g. release-1. A tag that looks like a version is refused."""
 
     private: bool = False
     """Make the repository private."""
 
     dry_run: bool = False
-    """Check, and list the files; send nothing."""
+    """Check and list the files, but upload nothing."""
 
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Publishes and prints; returns 0 when the Hub holds the files."""
+        """Publishes and prints. Returns 0 when the Hub has the files."""
         sizes, result = self.publish()
         values = {"dry_run": True, "files": sizes} if result is None else asdict(result)
         print_result(self.json, values, self._text(sizes, result))
         return 0
 
     def publish(self) -> tuple[dict[str, int], PushResult | None]:
-        """Publishes; returns the files' sizes [bytes], and the result, None for a dry run."""
+        """Publishes. Returns the file sizes [bytes] and the result, which is None for a dry run."""
         self._check()
         from lerobot_adamanip.hub.push import push
 
@@ -92,7 +92,7 @@ class Push:
             require_hub_name(self.dataset)
         if (self.folder is None) != (self.kind == "environment"):
             raise ConfigurationError(
-                "A dataset and a model are folders, the environment is not.",
+                "A dataset or model needs a folder; the environment takes none.",
                 got=f"{self.kind} {self.folder or ''}".strip(),
                 allowed="dataset DIR, model DIR or environment",
                 hint="adamanip push dataset outputs/demos --repo-id YOU/adamanip-safe",
@@ -117,7 +117,7 @@ class Push:
         if result is None:
             files = [f"{size:>12}  {name}" for name, size in sizes.items()]
             total = f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB"
-            return "\n".join([*files, f"{total}, would go to {self.repo_id}. Nothing was sent."])
+            return "\n".join([*files, f"{total}, for {self.repo_id}. Nothing was sent."])
         state = "published" if result.changed else "was there already"
         tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
         return f"{result.url} {state}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."

@@ -1,4 +1,4 @@
-"""`adamanip render`: add pictures to a dataset that was collected without."""
+"""`adamanip render`: adds pictures to a dataset that was collected without them."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from lerobot_adamanip.cli.progress import show_progress
 
 @dataclass
 class Render:
-    """Writes a copy of a dataset, with the images that `adamanip collect --no-images` left out.
+    """Writes a copy of a dataset and adds the images that `adamanip collect --no-images` skipped.
 
-    Scenes are set up from their seeds and joints put where they were recorded; no physics is run. Needs a Vulkan
-    device. After an interruption the same command resumes.
+    Creates scenes from their seeds and sets the recorded joint positions, without physics. Needs a Vulkan device. After
+    an interruption the same command resumes.
     """
 
     root: DatasetFolder
     """Folder of a dataset without images."""
 
     out: Path | None = None
-    """Folder of the new dataset; DIR-images by default."""
+    """Folder of the new dataset. Default: DIR-images."""
 
     assets: Path | None = None
     """Folder of external assets, if the dataset was recorded with any."""
 
     repo_id: str | None = None
-    """Name of the new dataset, in its card. local/<folder name> by default."""
+    """Name of the new dataset in its card. Default: local/<folder name>."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Renders; 0 when the dataset is complete."""
+        """Renders images. Returns 0 for a complete dataset."""
         from lerobot_adamanip.collection.render import add_pictures
         from lerobot_env_adamanip.make_env import make_keyframe_env
 

@@ -1,4 +1,4 @@
-"""`adamanip replay`: replay a recorded episode in the simulator and compare."""
+"""`adamanip replay`: replays a recorded episode in the simulator and compares it."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class Replay:
-    """Replays a recorded episode in the simulator, from its stored seed and actions, and compares the observations.
+    """Replays a recorded episode from its stored seed and actions, and compares the observations.
 
-    Exit status 0 if the replay matches the recording, 1 if not. Says which parts of the code have changed since.
+    Exit status 0 if the replay matches the recording, 1 if not. Lists the parts of the code that have changed since.
     """
 
     root: DatasetFolder
@@ -35,13 +35,13 @@ class Replay:
     """Write a video (.mp4): the recording on the left, the replay on the right."""
 
     tolerance: float = 1e-4
-    """Largest difference allowed in any column, in its own units (m, rad, rad/s, N m)."""
+    """Maximum difference in any column, in the column's unit (m, rad, rad/s, N m)."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Replays and compares; 0 if everything agrees."""
+        """Replays and compares. Returns 0 if everything agrees."""
         from lerobot_adamanip.collection.replay import replay
         from lerobot_env_adamanip.make_env import make_keyframe_env
 

@@ -1,4 +1,4 @@
-"""`adamanip report`: report success rates with intervals, tries and plots of evaluations."""
+"""`adamanip report`: reports success rates with intervals, tries and plots of evaluations."""
 
 from __future__ import annotations
 
@@ -25,40 +25,40 @@ type Evaluations = dict[str, list[EpisodeRecord]]
 
 @dataclass
 class Report:
-    """Report evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
+    """Reports evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
 
-    Each evaluation of a log gets a column. Each episode (seed, object and hidden state) counts once; the last record
-    wins. Everything is compared with the first column.
+    Each evaluation in a log gets a column. Each episode (seed, object and hidden state) counts once, with its last
+    record. All columns are compared with the first one.
     """
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
     """Episode logs."""
 
     label: tuple[str, ...] = ()
-    """Names of the logs, in their order; file names by default."""
+    """Names of the logs, in their order. Default: file names."""
 
     episodes: int | None = None
-    """Episodes to count, the first by seed, of each evaluation and category; all by default. Use the value of
-    --eval.n_episodes: `lerobot-eval` ignores the surplus of its last batch, which the log holds."""
+    """Number of episodes to count per evaluation and category, first by seed. Default: all. Use the value of
+    --eval.n_episodes: the log also holds the surplus of the last batch, which `lerobot-eval` ignores."""
 
     pool: bool = False
-    """Count all evaluations of a log on one split of scenes together."""
+    """Count all evaluations in a log on one scene split together."""
 
     out: tuple[Path, ...] = ()
-    """Files to write: a picture (.png, .pdf or .svg) of success by group and over episodes; a result file (.json) of
-    everything reported, for scripts/make_results.py and `adamanip push`, which needs --command."""
+    """Files to write: a plot (.png, .pdf or .svg) of success by group and over episodes, or a result file (.json) for
+    scripts/make_results.py and `adamanip push`. A result file needs --command."""
 
     command: str | None = None
-    """Command of the evaluation, as typed in the repository's root; written into the result file."""
+    """Command of the evaluation, as typed in the repository's root, for the result file."""
 
     title: str = "success of policies"
-    """Title of the result file, one line."""
+    """Title in the result file, one line."""
 
     json: bool = False
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Reads, prints, plots and writes; returns 0."""
+        """Reads, prints, plots and writes. Returns 0."""
         labels = self._labels()
         self._check()
         from lerobot_adamanip.evaluation.log import read_log
@@ -114,7 +114,7 @@ class Report:
         return list(self.label)
 
     def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
-        """Yields label and records of each evaluation; several in a log are numbered."""
+        """Yields label and records of each evaluation. Several in one log are numbered."""
         from lerobot_adamanip.evaluation.groups import first_episodes, split_evaluations
 
         for label, records in logs.items():

@@ -1,4 +1,4 @@
-"""`adamanip split`: a dataset as several."""
+"""`adamanip split`: splits a dataset into several."""
 
 from __future__ import annotations
 
@@ -13,32 +13,32 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 @dataclass
 class Split:
-    """Writes every episode of a dataset into one of several, so that `adamanip merge` of them is the dataset again.
+    """Splits the episodes of a dataset into several datasets. `adamanip merge` of all parts restores the dataset.
 
-    With --by object_id no object is in two parts; with --by and no --parts each value gets a part of its own. Columns
-    are those of `adamanip filter`. The seed alone decides the parts.
+    With --by object_id, no object is in two parts. With --by and without --parts, each value gets its own part. Columns
+    are those of `adamanip filter`. The parts depend only on the seed.
     """
 
     root: DatasetFolder
     """Folder of a dataset."""
 
     out: Path
-    """Folder of the new datasets, one folder for each part in it."""
+    """Parent folder of the new datasets, with one folder per part."""
 
     parts: str | None = None
-    """Names and shares, like train=0.8,validation=0.2; the shares make 1."""
+    """Names and shares of the parts, e.g. train=0.8,validation=0.2. The shares sum to 1."""
 
     by: str = "episode_index"
-    """Column whose values stay together."""
+    """Column whose equal values stay in one part, e.g. object_id."""
 
     seed: int = 0
-    """Of the random draw."""
+    """Seed of the random split."""
 
     json: bool = False
     """Print one JSON object instead of text, with the indices of the episodes of each part."""
 
     def run(self) -> int:
-        """Parts and writes; 0 when all datasets are complete."""
+        """Splits and writes. Returns 0 when all datasets are complete."""
         shares = self._shares()
         from lerobot_adamanip.datasets.split import split_episodes
 
@@ -70,6 +70,6 @@ class Split:
         return ConfigurationError(
             "Wrong parts.",
             got=got,
-            allowed="different names (letters, digits, _ and -) with shares; or --by alone, for a part for each value",
+            allowed="different names (letters, digits, _ and -) with shares; or only --by, for one part per value",
             hint="--parts train=0.8,validation=0.2",
         )

@@ -1,4 +1,4 @@
-"""`adamanip stats`: what is in a dataset."""
+"""`adamanip stats`: statistics of a dataset."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
 
 @dataclass
 class Stats:
-    """Counts what is in a dataset: episodes, key frames, tries, failed tries, recoveries, success.
+    """Counts the content of a dataset: episodes, key frames, tries, failed tries, recoveries, successes.
 
-    By category, split of objects and hidden value; how long episodes are; and what was tried for it and not kept.
+    Shows counts by category, object split and hidden value, episode lengths, and attempts that were not kept.
     """
 
     root: DatasetFolder
@@ -27,7 +27,7 @@ class Stats:
     """Print one JSON object instead of tables."""
 
     def run(self) -> int:
-        """Counts and prints; 0."""
+        """Counts and prints. Returns 0."""
         from lerobot_adamanip.datasets.stats import read_stats
 
         found = read_stats(self.root)
@@ -54,7 +54,7 @@ def _lines(found: DatasetStats) -> Iterator[str]:
     if found.failures:
         yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in found.failures.items())}"
     if unlabelled := found.overall.episodes - found.overall.labelled:
-        yield f"Recorded on a robot, so without labels of tries: {unlabelled} episodes"
+        yield f"Recorded on a robot, without labels of tries: {unlabelled} episodes"
     yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
     if found.recovery is not None:
         yield f"After a try that failed, the same again: {interval_text(found.recovery.repeated)}"

@@ -1,6 +1,6 @@
-"""Encode and decode a short video as LeRobotDataset does; print which decoder was used.
+"""Encodes and decodes a short video as LeRobotDataset does, and prints the decoder's name.
 
-Run it as `python -m lerobot_adamanip.cli.video_probe`, in its own process: codecs write pages to stderr.
+Run it as `python -m lerobot_adamanip.cli.video_probe` in a separate process: codecs write long logs to stderr.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from lerobot.datasets.video_utils import decode_video_frames, encode_video_frame
 from PIL import Image
 
 SIDE = 64
-"""Side of the frames [pixels]."""
+"""Side length of the frames [px]."""
 
 
 def encode_and_decode(folder: Path) -> None:
-    """Writes four frames from black to bright; raises RuntimeError if the first and last are not read back."""
+    """Writes four frames from black to bright. Raises RuntimeError if the first and last are not read back."""
     for i in range(4):
         Image.fromarray(np.full((SIDE, SIDE, 3), 60 * i, np.uint8)).save(folder / f"frame-{i:06d}.png")
     video = folder / "video.mp4"
@@ -29,7 +29,7 @@ def encode_and_decode(folder: Path) -> None:
 
 
 def decoder() -> str:
-    """Returns the name of the decoder that LeRobot uses here."""
+    """Returns the name of LeRobot's video decoder on this machine."""
     try:
         import torchcodec  # noqa: F401  (loads FFmpeg's libraries, or fails)
     except Exception:

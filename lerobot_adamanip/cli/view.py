@@ -1,4 +1,4 @@
-"""`adamanip view`: look at an episode."""
+"""`adamanip view`: draws an episode."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ _KINDS = (".png", ".rrd")
 
 @dataclass
 class View:
-    """Draws an episode, or writes it for rerun: cloud, tool path, goals, tries, phases, effort, pictures if any.
+    """Draws an episode or writes it for rerun: cloud, tool path, goals, tries, phases, effort and pictures, if any.
 
-    rerun comes with lerobot[viz]. Nothing needs a display.
+    rerun comes with lerobot[viz]. No display is needed.
     """
 
     root: DatasetFolder
     """Folder of a dataset."""
 
     out: Path
-    """A picture (.png) of the whole episode, or a recording (.rrd) that `rerun FILE.rrd` shows."""
+    """Output file: a picture (.png) of the whole episode, or a recording (.rrd) for `rerun FILE.rrd`."""
 
     episode: int = 0
     """Index of the episode."""
 
     def run(self) -> int:
-        """Reads the episode and writes it; 0."""
+        """Reads the episode and writes it. Returns 0."""
         kind = self.out.suffix.lower()
         if kind not in _KINDS:
             raise ConfigurationError(

@@ -1,4 +1,4 @@
-"""The annotation tool's page: joints and parts at the side, the object and a gripper to drag in the middle."""
+"""Page of the annotation tool: controls for joints and parts, and the object with a draggable gripper."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ UNSAVED = "Not saved yet (a draft is kept)."
 
 
 class AnnotationApp:
-    """One page on one or more folders; every change goes to a draft, Save writes ``adamanip.json``.
+    """Page for one or more folders. Every change goes to a draft; Save writes ``adamanip.json``.
 
     Args:
-        server: viser's.
-        folders: of objects.
-        category: of all of them.
+        server: viser server.
+        folders: folders of the objects.
+        category: category of all objects.
     """
 
     def __init__(self, server: Any, folders: Sequence[Path], category: str) -> None:
@@ -44,14 +44,14 @@ class AnnotationApp:
         self._open(folders[0])
 
     def autosave(self) -> None:
-        """Writes changes to the draft, if there are any."""
+        """Writes changes to the draft, if any."""
         if (editor := self.editor) is not None and editor.draft.changed:
             self.attempt(editor.draft.autosave)
 
     def attempt(self, action: Callable[[], object], done: str = "", failed: str = "") -> bool:
-        """Runs one action at a time; tells that it is ``done``, or that it ``failed`` and why. Returns whether it is.
+        """Runs one action at a time and returns whether it succeeded. Shows ``done``, or ``failed`` with the reason.
 
-        Both texts are Markdown; an empty ``done`` leaves what stands there.
+        Both texts are Markdown. An empty ``done`` keeps the current text.
         """
         with self._lock:
             try:
@@ -82,11 +82,11 @@ class AnnotationApp:
 
 
 class ObjectEditor:
-    """One object on the page, with controls for its joints and parts, and a gripper at the part that is edited.
+    """One object on the page, with controls for its joints and parts, and a gripper at the edited part.
 
     Args:
-        server: viser's.
-        draft: the annotation of the object; `ConfigurationError` if there is no object with it.
+        server: viser server.
+        draft: annotation of the object. Raises `ConfigurationError` if the object is missing.
         attempt: see `AnnotationApp.attempt`.
     """
 
@@ -105,7 +105,7 @@ class ObjectEditor:
         self._aim()
 
     def remove(self) -> None:
-        """Takes the object and its controls off the page."""
+        """Removes the object and its controls from the page."""
         for handle in (*self._panel, self._view):
             handle.remove()
 
@@ -116,7 +116,7 @@ class ObjectEditor:
         self._place_gizmo()
 
     def dragged(self) -> None:
-        """Takes the gripper's pose on the page for the part's grasp."""
+        """Sets the part's grasp to the gripper's pose on the page."""
 
         def take() -> None:
             shown = transform(np.asarray(self.gizmo.position), matrix_from_quaternion(np.asarray(self.gizmo.wxyz)))
@@ -183,7 +183,7 @@ class ObjectEditor:
             self._place_gizmo()
 
     def _carried(self) -> Pose:
-        """The motion (4, 4) that the joints, as they stand, give to what holds the part."""
+        """Returns the motion (4, 4) of the part's link at the current joint positions."""
         part = self.draft.object().part(self._part.value)
         return replace(part, grasp=np.eye(4)).moved(self._positions)
 
@@ -191,7 +191,7 @@ class ObjectEditor:
         place(self.gizmo, self._carried() @ self.draft.annotation.parts[self._part.value].grasp)
 
     def _aim(self) -> None:
-        """Looks at the object from the front, the side and above."""
+        """Points the camera at the object, from the front, the side and above."""
         far = 1.25 * float(np.linalg.norm(self._view.obj.size)) + 0.2
         target = np.array([0.0, 0.0, self._view.obj.size[2] / 2])
         eye = target + far * np.array([0.9, -0.3, 0.35])
@@ -200,13 +200,13 @@ class ObjectEditor:
 
 
 def by_hand(handle: Any, action: Callable[[], object]) -> None:
-    """Calls ``action`` when somebody changes a control on the page, not when the program does."""
+    """Calls ``action`` when a user changes a control on the page, not when the program does."""
     handle.on_update(lambda event: action() if event.client is not None else None)
 
 
 def _add_scenery(server: Any) -> None:
     server.scene.set_up_direction("+z")
-    server.scene.configure_default_lights(cast_shadow=False)  # shadows are too much for a machine without a GPU
+    server.scene.configure_default_lights(cast_shadow=False)  # shadows are too slow without a GPU
     server.scene.add_grid("/floor", width=4.0, height=4.0, cell_size=0.1, section_size=0.5)
     server.scene.add_frame("/axes", axes_length=0.15, axes_radius=0.003)
     server.gui.configure_theme(control_width="medium", show_logo=False)

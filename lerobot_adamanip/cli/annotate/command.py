@@ -1,4 +1,4 @@
-"""`adamanip annotate`: annotate the grasps and joints of external assets in the browser."""
+"""`adamanip annotate`: annotates grasps and joints of external assets in the browser."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from lerobot_adamanip.cli.arguments import Category
 from lerobot_adamanip.util.errors import ConfigurationError
 
 AUTOSAVE_PERIOD = 1.0
-"""Seconds at most between a change and a file that holds it."""
+"""Maximum time between a change and its draft file [s]."""
 
 
 @dataclass
 class Annotate:
-    """Shows an object in the browser with a gripper at each part; saves adamanip.json into the object's folder.
+    """Shows an object in the browser with a gripper at each part. Saves adamanip.json into the object's folder.
 
-    Part poses are proposed from bounding boxes (or read from AdaManip's points) for a person to refine. Ctrl-C ends it;
-    what was not saved is kept as a draft and loaded again.
+    Part poses are proposed from bounding boxes or from AdaManip's points; refine them by hand. Ctrl-C ends the tool.
+    Unsaved changes are kept as a draft and loaded next time.
     """
 
     directory: Annotated[Path, tyro.conf.Positional]
-    """A folder with a mobility.urdf, or a directory of such folders."""
+    """Folder with a mobility.urdf, or a directory of such folders."""
 
     category: Category = "safe"
-    """Which kind of object it is."""
+    """Category of the object."""
 
     host: str = "127.0.0.1"
-    """Address to serve the page at; 0.0.0.0 lets other machines in."""
+    """Address of the page; 0.0.0.0 allows other machines."""
 
     port: int = 8080
-    """Port to serve the page at; a free one is taken if it is not."""
+    """Port of the page. If it is in use, a free port is taken."""
 
     def run(self) -> int:
-        """Serves the page until interrupted; 0."""
+        """Serves the page until interrupted. Returns 0."""
         folders = self._folders()
         server = start_server(self.host, self.port)
         from lerobot_adamanip.cli.annotate.app import AnnotationApp
@@ -66,7 +66,7 @@ class Annotate:
 
 
 def start_server(host: str, port: int) -> Any:
-    """Returns a viser server; `ConfigurationError` if viser is not installed."""
+    """Returns a viser server. Raises `ConfigurationError` if viser is not installed."""
     try:
         import viser
     except ModuleNotFoundError as error:

@@ -1,4 +1,4 @@
-"""What the annotation tool shows: an object whose joints move, and a gripper, in viser's scene."""
+"""Scene of the annotation tool in viser: an object with moving joints, and a gripper."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Pose
 
 HAND = (
-    # Where (tool frame: z approach, y closing), full extents, grey; a Panda's hand with its fingers open.
+    # Centre (tool frame: z approach, y closing), full extents and grey value of a Panda hand with open fingers.
     ((0.0, 0.0, -0.080), (0.064, 0.204, 0.066), 205),
     ((0.0, 0.047, -0.021), (0.021, 0.014, 0.054), 70),
     ((0.0, -0.047, -0.021), (0.021, 0.014, 0.054), 70),
 )
-"""Boxes [m]: body, fingers."""
+"""Boxes of the gripper [m]: body, fingers."""
 
 
 class ObjectView:
-    """An external asset, all of whose shapes are meshes, in the scene under ``/object``; its frame is the world's."""
+    """An external asset in the scene under ``/object``, in the world frame. All its shapes are meshes."""
 
     def __init__(self, server: Any, obj: ArticulatedObject) -> None:
         self.obj = obj
@@ -37,18 +37,18 @@ class ObjectView:
         self.move({})
 
     def move(self, positions: Mapping[str, float]) -> None:
-        """Moves the joints [rad or m]; those not named go to zero."""
+        """Moves the joints [rad or m]. Unnamed joints move to zero."""
         for link in self.obj.links:
             if link.joint is not None:
                 place(self._frames[link.name], joint_pose(link.joint, positions.get(link.joint.name, 0.0)))
 
     def remove(self) -> None:
-        """Takes the object out of the scene."""
+        """Removes the object from the scene."""
         self._root.remove()
 
 
 def add_gripper(server: Any, name: str) -> Any:
-    """Adds a gripper and returns its frame's handle; the frame is the tool's."""
+    """Adds a gripper and returns the handle of its frame, the tool frame."""
     frame = server.scene.add_frame(name, show_axes=False)
     for number, (position, extents, grey) in enumerate(HAND):
         server.scene.add_box(f"{name}/{number}", (grey, grey, grey), extents, position=position, opacity=0.75)
@@ -64,5 +64,5 @@ def joint_pose(joint: Joint, position: float) -> Pose:
 
 
 def place(handle: Any, pose: Pose) -> None:
-    """Moves something in the scene to a pose (4, 4)."""
+    """Moves an element of the scene to a pose (4, 4)."""
     handle.position, handle.wxyz = pose[:3, 3], quaternion_from_matrix(pose[:3, :3])

@@ -1,4 +1,4 @@
-"""`adamanip objects`: list the objects of a category, check external assets, draw a contact sheet."""
+"""`adamanip objects`: lists the objects of a category, checks external assets, draws a contact sheet."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ if TYPE_CHECKING:
     from lerobot_adamanip.objects import ArticulatedObject
 
 OPEN_FRACTION = 0.3
-"""How far every second object stands open on a sheet."""
+"""Opening of every second object on a sheet, as a fraction of the joint's range."""
 _SIZES = (64, 1024)
 
 
 @dataclass
 class Objects:
-    """Lists the objects of a category, and draws a contact sheet: each photographed alone, every second one ajar.
+    """Lists the objects of a category and draws a contact sheet with one picture per object, every second one ajar.
 
-    Given a folder of external assets, it checks them: which can be used, and what is wrong with the others.
+    With --assets, it checks a folder of external assets: lists the usable ones and the problems of the others.
     """
 
     out: Path | None = None
     """Write a contact sheet (.png, .jpg or .webp)."""
 
     category: CategoryOrAll = "safe"
-    """Which kind of object; all for every one."""
+    """Category of the objects; all for every category."""
 
     assets: Path | None = None
     """Folder of external assets to check and list instead of generated objects."""
@@ -44,16 +44,16 @@ class Objects:
     """seen, unseen, novel, FIRST:END (0:36), or ids separated by commas (safe_000,safe_n007); without --assets."""
 
     columns: int = 9
-    """Portraits beside each other."""
+    """Number of pictures per row."""
 
     size: int = 240
-    """Side of a portrait [px]."""
+    """Side length of a picture [px]."""
 
     json: bool = False
     """Print one JSON object instead of text."""
 
     def run(self) -> int:
-        """Lists and draws; 0."""
+        """Lists and draws. Returns 0."""
         if self.columns < 1 or not _SIZES[0] <= self.size <= _SIZES[1]:
             raise ConfigurationError(
                 "A sheet cannot be drawn like that.",
@@ -76,7 +76,7 @@ class Objects:
         return 0
 
     def _chosen(self) -> tuple[list[ArticulatedObject], list[AssetReport]]:
-        """Returns the objects, and which external assets cannot be used."""
+        """Returns the objects and the unusable external assets."""
         from lerobot_adamanip.catalog import make_object, parse_object_selection
 
         wanted = tuple(CATEGORIES) if self.category == ALL else (self.category,)
@@ -116,12 +116,12 @@ class Objects:
 
 
 def checked_source(assets: Path) -> AssetSource:
-    """Returns the assets of a folder; those out of the arm's reach are unusable, if the simulator is installed."""
+    """Returns the assets of a folder. With the simulator, assets out of the arm's reach are unusable."""
     from lerobot_adamanip.assets import AssetSource
     from lerobot_env_adamanip.simulator import placement_check
 
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what the simulator prints must not get into the JSON
+        with contextlib.redirect_stdout(sys.stderr):  # simulator output must not get into the JSON
             return AssetSource(assets, placement_check())
     except SimulatorError:
         print("not checked without the simulator: whether the arm reaches the objects", file=sys.stderr)
@@ -129,7 +129,7 @@ def checked_source(assets: Path) -> AssetSource:
 
 
 def to_json(obj: ArticulatedObject) -> dict[str, Any]:
-    """The machine's version of an object: id, split, size [m], description, parts and joints."""
+    """Returns an object as JSON-able data: id, split, size [m], description, parts and joints."""
     from lerobot_adamanip.catalog import object_split
 
     joints = [link.joint for link in obj.links if link.joint is not None]

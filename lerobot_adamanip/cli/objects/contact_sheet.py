@@ -1,4 +1,4 @@
-"""Portraits on one sheet, each with its name and description below."""
+"""Contact sheet: pictures of objects, each with its name and description below."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Thumbnail(NamedTuple):
 
 
 def sheet_suffix(path: Path) -> str:
-    """Returns the lower-case suffix of a picture's path; raises `ConfigurationError` if it is none."""
+    """Returns the lower-case suffix of a picture's path. Raises `ConfigurationError` for another file type."""
     if path.suffix.lower() in _SUFFIXES:
         return path.suffix.lower()
     raise ConfigurationError(
@@ -36,7 +36,7 @@ def sheet_suffix(path: Path) -> str:
 
 
 def compose_sheet(portraits: Sequence[Thumbnail], *, columns: int, path: Path) -> None:
-    """Writes the sheet: rows of ``columns`` portraits of one size, captions below. Folders are made where needed."""
+    """Writes the sheet: rows of ``columns`` pictures of one size with captions below. Creates missing folders."""
     side = portraits[0].image.shape[0]
     title, text = (ImageFont.load_default(size) for size in (max(9, side // 16), max(8, side // 20)))
     width = max(1, int(side / max(1.0, text.getlength("abcdefghij") / 10)))
