@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -88,15 +86,6 @@ def test_a_final_observation_is_not_a_motion(adaptive_toy_root: Path) -> None:
         assert max(contact.end for contact in contacts) <= rows.stop - 1
         for contact in contacts:
             np.testing.assert_array_equal(contact.grasp[:9], demonstrations.commands[contact.first - 1, :9])
-
-
-def test_columns_are_those_of_the_dataset(make_toy_policy: Callable[..., tuple[Any, ...]]) -> None:
-    *_, dataset = make_toy_policy("vat_mart")
-    found = read_columns(dataset.meta, (schema.STATE, schema.SUCCESS))
-    assert found[schema.STATE].dtype == np.float32
-    for index in (0, 5, len(dataset) - 1):
-        np.testing.assert_array_equal(found[schema.STATE][index], dataset[index][schema.STATE])
-        assert bool(found[schema.SUCCESS][index]) == bool(dataset[index][schema.SUCCESS])
 
 
 def test_files_that_are_not_there_are_one_clear_error(toy_root: Path, tmp_path: Path) -> None:

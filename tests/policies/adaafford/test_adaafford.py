@@ -14,7 +14,7 @@ from toy_demos import observed, toy_world, trained
 from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.adaafford.interactions import InteractionMemory
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal, trim_padding
-from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, PART_RADIUS_M, approach, let_go
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, PART_RADIUS_M
 from lerobot_policy_adamanip.common.tool_frame import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
@@ -215,17 +215,6 @@ def test_conclusions_follow_from_what_was_felt_in_contact_and_from_nothing_else(
     z, other = (policy.summarise(cloud, in_contact(policy, moved)) for moved in (True, False))
     assert not torch.allclose(z, other, atol=1e-4)
     assert torch.equal(policy.summarise(cloud, in_contact(policy, True, outside=True)), z)
-
-
-def test_an_open_hand_takes_hold_and_one_that_lost_its_grip_lets_go_first(make: MakePolicy) -> None:
-    policy, cloud, pose = acting(make()[0])
-    plan = policy._plan(cloud, pose, InteractionMemory(8))
-    torch.testing.assert_close(plan, approach(plan[1]), rtol=0, atol=1e-6)
-    lost = pose.clone()
-    lost[9] = 0.0
-    plan = policy._plan(cloud, lost, in_contact(policy, True))
-    torch.testing.assert_close(plan[:2], let_go(lost), rtol=0, atol=1e-6)
-    torch.testing.assert_close(plan[2:], approach(plan[3]), rtol=0, atol=1e-6)
 
 
 def judging(policy: Any, likely: Callable[[torch.Tensor], torch.Tensor], tells: float) -> None:

@@ -50,7 +50,7 @@ def test_one_text_is_a_list_of_one_and_none_is_an_error() -> None:
 
 @pytest.mark.parametrize("head", ["diffusion", "anchors"])
 def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
-    make_tiny: MakeTiny, heads: dict[str, Any], batch_of: Any, head: str
+    make_tiny: MakeTiny, heads: dict[str, Any], batch_of: Any, observation_of: Any, head: str
 ) -> None:
     policy, before, _, dataset = make_tiny(**heads[head], use_instruction=True)
     policy.train()
@@ -58,15 +58,11 @@ def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
     loss.backward()
     assert torch.isfinite(loss)
     policy.eval()
-    item = {**dataset[5]}
-    keys = (schema.POINT_CLOUD, schema.STATE)
-    item.update({key: item[key][-1] for key in keys if f"{key}_is_pad" in item})
 
     def act(text: str) -> torch.Tensor:
         policy.reset()
-        seen = before({**{key: item[key][None] for key in keys}, "task": [text]})
-        shape = (1, policy.config.horizon, schema.ACTION_DIM)
-        return policy.select_action(dict(seen), noise=torch.full(shape, 0.3))
+        noise = torch.full((1, policy.config.horizon, schema.ACTION_DIM), 0.3)
+        return policy.select_action(observation_of(dataset, before, 5, task=[text]), noise=noise)
 
     assert torch.equal(act("open the safe"), act("open the safe"))
     assert not torch.equal(act("open the safe"), act("take the cap off the bottle"))

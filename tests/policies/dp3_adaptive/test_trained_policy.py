@@ -58,13 +58,10 @@ def test_what_was_really_done_is_what_is_remembered(saved: tuple[Path, tuple[Any
     np.testing.assert_allclose(after(history[:, -1])[0], done, atol=1e-5)
 
 
-def test_a_folder_without_a_policy_is_one_clear_error(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="No policy is there"):
-        policy_hash(tmp_path)
-
-
 def test_a_hash_tells_policies_apart(saved: tuple[Path, tuple[Any, ...]]) -> None:
     path, _ = saved
+    with pytest.raises(ConfigurationError, match="No policy is there"):
+        policy_hash(path / "none")
     known = {policy_hash(path), policy_hash(path)}
     (states,) = path.glob("policy_preprocessor*normalizer*.safetensors")
     for file in ("config.json", "policy_postprocessor.json", states.name):

@@ -13,7 +13,6 @@ from toy_demos import observed, play, toy_world, trained
 
 from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.affordance.demonstrations import read_demonstrations
-from lerobot_policy_adamanip.affordance.plans import approach, let_go
 from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after, reverse
 from lerobot_policy_adamanip.sampling.contact_labels import motions_in_contact
 
@@ -88,18 +87,6 @@ def test_every_motion_and_taking_hold_anew_are_drawn_alike(make: MakePolicy) -> 
     counts.append(sum(len(each) > 1 for each in drawn))
     assert sum(counts) == 350
     assert all(30 <= count <= 75 for count in counts), counts
-
-
-def test_an_empty_hand_takes_hold_and_a_closed_one_lets_go_first(make: MakePolicy) -> None:
-    policy, *_ = make()
-    policy.eval()
-    cloud, pose = policy.observed(seen_by(1.0))
-    macro = policy.draw_macro(cloud[0], pose[0])
-    torch.testing.assert_close(macro, approach(macro[1]), rtol=0, atol=1e-6)
-    cloud, pose = policy.observed(seen_by(0.0))
-    macro = policy.draw_macro(cloud[0], pose[0])
-    torch.testing.assert_close(macro[:2], let_go(pose[0]), rtol=0, atol=1e-6)
-    torch.testing.assert_close(macro[2:], approach(macro[3]), rtol=0, atol=1e-6)
 
 
 def test_a_push_includes_a_motion_since_nothing_is_held_then(make: MakePolicy) -> None:
