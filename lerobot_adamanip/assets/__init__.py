@@ -1,7 +1,7 @@
 """External assets: folders with a ``mobility.urdf``, in AdaManip's, UniDoorManip's or PartNet-Mobility's layout.
 
-An external asset's id is ``<category>:<folder name>``, ``safe:sa1``; a generated one's, ``safe_001``, has no colon.
-Nothing of those collections is shipped: users who have them point ``--env.assets=DIR`` at their folder.
+The id of an external asset is ``<category>:<folder name>``, ``safe:sa1``; ids of generated objects (``safe_001``) have
+no colon. These collections are not included: users point ``--env.assets=DIR`` at their copy.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""XML and numbers that others wrote: checked, not trusted, and refused with the file they are in."""
+"""Parsing of untrusted XML and numbers; errors name the file."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from lerobot_adamanip.util.errors import ConfigurationError
 logger = logging.getLogger(__name__)
 
 HUGE = 1e4
-"""No number in the description of a household object is larger."""
+"""Larger than any number in the description of a household object."""
 
 
 def broken(
     path: Path, what: str, got: object, allowed: object, *, hint: str = "the file as it was published"
 ) -> Exception:
-    """Returns the error for a file that cannot be used."""
+    """Returns the error for an unusable file."""
     return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
 
 
@@ -30,12 +30,12 @@ def annotate_hint(path: Path) -> str:
 
 @functools.cache
 def warn_once(text: str) -> None:
-    """Logs a warning, the first time only: objects are loaded again and again."""
+    """Logs a warning once, although objects are loaded repeatedly."""
     logger.warning("%s", text)
 
 
 def parse_xml(path: Path, text: bytes) -> Any:
-    """Returns the root element of XML without a document type; `ConfigurationError` for anything else."""
+    """Returns the root element of XML without a document type; raises `ConfigurationError` for anything else."""
     import defusedxml
     from defusedxml.ElementTree import ParseError, fromstring
 
@@ -49,7 +49,7 @@ def parse_xml(path: Path, text: bytes) -> Any:
 
 
 def numbers(path: Path, text: str, count: int, what: str) -> tuple[float, ...]:
-    """Parses ``count`` finite numbers; `ConfigurationError` otherwise."""
+    """Parses ``count`` finite numbers; raises `ConfigurationError` otherwise."""
     try:
         values = tuple(float(word) for word in text.split())
     except ValueError:

@@ -1,4 +1,4 @@
-"""From a URDF and its annotation to an object of ours: other frame, other names, convex collisions."""
+"""Conversion of an annotated URDF to this project's object: frame, names, convex collision shapes."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ Array = NDArray[np.float64]
 Color = tuple[float, float, float]
 
 NEAR = 0.15
-"""A grasp further than this outside of the object holds nothing [m]."""
+"""Maximum distance of a grasp from the object [m]."""
 ROOT_MASS, FINAL_MASS, KEY_MASS = 10.0, 2.0, 0.1
-"""Where the URDF states none [kg]."""
+"""Default mass of a link [kg]."""
 MASSES = (0.005, 200.0)
 
 
 def convert_asset(folder: Path, category: str, solid: bool = True) -> ArticulatedObject:
-    """Reads a folder and builds its object; without collision shapes, which may take long, unless ``solid``."""
+    """Reads a folder and builds its object; ``solid`` adds collision shapes, which may be slow."""
     urdf = read_urdf(folder / URDF_NAME)
     annotation = find_annotation(urdf, category)
     return assemble(urdf, annotation, posed(urdf, annotation), solid=solid)
@@ -50,18 +50,17 @@ def convert_asset(folder: Path, category: str, solid: bool = True) -> Articulate
 def assemble(
     urdf: Urdf, annotation: Annotation, found: Posed, *, solid: bool = True, checked: bool = True
 ) -> ArticulatedObject:
-    """Returns the object.
+    """Returns the object of an annotated URDF.
 
     Args:
         urdf: its description.
-        annotation: of the URDF.
+        annotation: annotation of the URDF.
         found: the URDF at rest.
-        solid: with collision shapes; to look at it, they are not needed.
-        checked: whether size, parts and the way to the goal have to be plausible; while somebody still annotates, they
-            may not be.
+        solid: whether to add collision shapes; viewing does not need them.
+        checked: whether to check the plausibility of sizes, parts and range; an unfinished annotation may fail.
 
     Raises:
-        ConfigurationError: its joints, or, if checked, its parts, size or range cannot be what the category needs.
+        ConfigurationError: joints, or, if checked, parts, sizes or ranges do not fit the category.
     """
     check_joints(urdf, annotation)
     if checked:
@@ -83,7 +82,7 @@ def assemble(
 
 
 def check_joints(urdf: Urdf, annotation: Annotation) -> None:
-    """Raises `ConfigurationError` unless each role has a joint of its own, of the right kind."""
+    """Raises `ConfigurationError` unless each role has its own joint of the right type."""
     roles, by_name = ROLES[annotation.category], {joint.name: joint for joint in urdf.moving}
     chosen = [annotation.joints[role.name].joint for role in roles.joints]
     hint = annotate_hint(urdf.path)
@@ -100,12 +99,12 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
 
 @dataclass(frozen=True)
 class _Assembly:
-    """What is known while an object is put together.
+    """Intermediate data of a conversion.
 
     Attributes:
-        to_object: (4, 4) from the URDF's root frame to the object frame.
-        leaders: per link, the link it is rigidly part of.
-        origins: (3,) of each link at rest, object frame.
+        to_object: (4, 4) transform from the URDF's root frame to the object frame.
+        leaders: link -> link that it is rigidly attached to.
+        origins: link -> origin (3,) at rest, in the object frame.
         solid, checked: see `assemble`.
     """
 
@@ -135,7 +134,7 @@ class _Assembly:
         )
 
     def _order(self, link: str) -> tuple[int, bool]:
-        """Parents before children, the final joint's link before the key joint's, the same in every process."""
+        """Returns the sort key of a link: parents first, and the final joint's link before the key joint's."""
         above = self.urdf.joint_above(link)
         if above is None:
             return 0, False
@@ -163,7 +162,7 @@ class _Assembly:
         return Link(name, tuple(shapes), mass, parent, _joint(role, choice, axis, offset, self.annotation.scale))
 
     def _box(self, links: tuple[Link, ...]) -> tuple[Array, Array]:
-        """The box around all that is seen, object frame, joints at rest."""
+        """Returns the box around all visible shapes, in the object frame with joints at rest."""
         points = [
             shape.vertices + self.origins[link.name]
             for link in links
@@ -200,7 +199,7 @@ def _plausible(mass: float, default: float) -> float:
 
 
 def _joint(role: JointRole, choice: JointChoice, axis: Array, origin: Array, scale: float) -> Joint:
-    """Our joint: zero at rest, positive towards open; one that turns either way does so as far to both sides."""
+    """Returns a joint that is zero at rest and positive towards open; ``either_way`` makes its range symmetric."""
     travel = (choice.open - choice.rest) * (scale if role.kind == "prismatic" else 1.0)
     direction = axis * np.sign(travel)
     limits = (-abs(travel) if role.either_way else 0.0, abs(travel))
@@ -210,7 +209,7 @@ def _joint(role: JointRole, choice: JointChoice, axis: Array, origin: Array, sca
 
 
 def _mesh(vertices: Array, faces: NDArray[np.int64], into: Pose, color: Color | None) -> Shape:
-    """A mesh in its link's frame: seen, if it has a colour, or solid."""
+    """Returns a mesh in its link's frame: visible if it has a colour, otherwise solid."""
     moved = np.ascontiguousarray(vertices @ into[:3, :3].T + into[:3, 3], np.float32)
     look, seen = Material(color or (0.5, 0.5, 0.5)), color is not None
     return Shape("mesh", (), np.eye(4), look, not seen, moved, np.ascontiguousarray(faces, np.int32), seen)

@@ -1,4 +1,4 @@
-"""A URDF with its joints at rest: where each link is, and what of it is seen and touched."""
+"""A URDF with joints at rest: link poses, and their visual and collision surfaces."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from lerobot_adamanip.objects.base import Pose
 Array = NDArray[np.float64]
 
 FRONT_TO_X: Array = np.diag([-1.0, -1.0, 1.0])
-"""AdaManip's and PartNet-Mobility's objects face -x of the URDF's root frame, z up."""
+"""Rotation to our x axis: AdaManip's and PartNet-Mobility's objects face -x of the URDF's root frame, z up."""
 
 
 MAX_HOPS = 20
-"""From a joint that follows another to the one that moves by itself; more of them are a circle."""
+"""Maximum length of a chain of mimic joints; a longer one is a cycle."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class Posed:
         urdf: the description.
         poses: (4, 4) of each link in the URDF's root frame.
         visuals, collisions: surfaces of each link in the URDF's root frame.
-        missing: meshes that a link names and its folder does not hold, for each link that names such.
+        missing: link -> referenced meshes that its folder does not contain.
     """
 
     urdf: Urdf
@@ -44,7 +44,7 @@ class Posed:
     missing: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def bounds(self, links: set[str] | None = None) -> tuple[Array, Array]:
-        """Returns the corners (3,), (3,) of the box around what is seen of the links (all if None)."""
+        """Returns the corners (3,), (3,) of the box around the visible shapes of the links (all if None)."""
         points = [s.vertices for name, found in self.visuals.items() if links is None or name in links for s in found]
         if not points:
             raise broken(self.urdf.path, "has nothing to be seen.", "no visual shapes", "a visual mesh")
@@ -53,17 +53,17 @@ class Posed:
 
 
 Described = tuple[tuple[Surface, ...], tuple[str, ...]]
-"""What a link's visual or collision elements come to, and the meshes they name that are not there."""
+"""Surfaces of a link's visual or collision elements, and their missing meshes."""
 
 
 def _or_else(own: Described, other: Described) -> tuple[Surface, ...]:
-    """A link may be described by one of the two alone, or by one of them alone without a gap."""
+    """Returns a link's own surfaces; the other kind's if these are missing, or if only these have a missing mesh."""
     gap_elsewhere_only = bool(own[1]) and bool(other[0]) and not other[1]
     return other[0] if not own[0] or gap_elsewhere_only else own[0]
 
 
 def posed(urdf: Urdf, annotation: Annotation) -> Posed:
-    """Reads all meshes, and puts every link where it is at rest. Meshes that are not there are left out."""
+    """Reads all meshes and computes all link poses at rest. Missing meshes are left out."""
     rest = {choice.joint: choice.rest for choice in annotation.joints.values()}
     poses = link_poses(urdf, rest, annotation.scale)
     folder, scale = urdf.path.parent, annotation.scale
@@ -99,8 +99,8 @@ def link_poses(urdf: Urdf, positions: Mapping[str, float], scale: float = 1.0) -
 
     Args:
         urdf: the description.
-        positions: of joints, in the URDF's units; the others are at rest, or where the joint they follow puts them.
-        scale: metres per unit of length of the URDF.
+        positions: joint positions in the URDF's units; other joints are at rest or follow their leader.
+        scale: metres per length unit of the URDF.
     """
     poses: dict[str, Pose] = {urdf.root: np.eye(4)}
     waiting = list(urdf.joints)
@@ -125,7 +125,7 @@ def joint_motion(joint: UrdfJoint, position: float, scale: float) -> Pose:
 
 
 def _position(urdf: Urdf, joint: UrdfJoint, positions: Mapping[str, float], hops: int = 0) -> float:
-    """Where a joint stands: as told, else as the joint it follows tells, else at rest."""
+    """Returns a joint's position: given, otherwise from the joint that it follows, otherwise at rest."""
     if joint.name in positions:
         return positions[joint.name]
     leader = next((each for each in urdf.moving if joint.mimic and each.name == joint.mimic.leader), None)
@@ -135,7 +135,7 @@ def _position(urdf: Urdf, joint: UrdfJoint, positions: Mapping[str, float], hops
 
 
 def groups(urdf: Urdf, joints: Mapping[str, JointChoice]) -> dict[str, str]:
-    """Returns, per link, the link it is rigidly part of: the root, or the child of a joint that plays a role."""
+    """Returns link -> link that it is rigidly attached to: the root, or the child of a joint with a role."""
     roles = {choice.joint for choice in joints.values()}
     leaders: dict[str, str] = {}
 
@@ -149,9 +149,9 @@ def groups(urdf: Urdf, joints: Mapping[str, JointChoice]) -> dict[str, str]:
 
 
 def object_frame(found: Posed, annotation: Annotation) -> Pose:
-    """Returns the object frame (4, 4) in the URDF's root frame [m]: on the floor, under the middle of its front.
+    """Returns the object frame (4, 4) in the URDF's root frame [m]: on the floor, at the middle of the front.
 
-    The front is that of what does not move, where there is such: a handle that sticks out is not it.
+    The front is that of the static links, if they have shapes; a protruding handle does not count.
     """
     if annotation.object_in_urdf is not None:
         return annotation.object_in_urdf

@@ -1,4 +1,4 @@
-"""Meshes of external assets: read from inside their folder only, coloured, and cut into convex parts for collisions."""
+"""Meshes of external assets: read from their folder only, coloured, and decomposed into convex collision parts."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ MESH_KINDS = (".obj", ".stl", ".dae", ".glb")
 MAX_FACES = 1_000_000
 GREY = (0.6, 0.6, 0.6)
 NEARLY_CONVEX = 0.85
-"""A mesh that fills this much of its hull collides as its hull."""
+"""Fraction of the hull's volume above which a mesh collides as its hull."""
 THIN = 1e-3
-"""What has no thickness gets this much for collisions [m]."""
+"""Collision thickness of flat meshes [m]."""
 COACD_OPTIONS = {
     "threshold": 0.07, "max_convex_hull": 24, "seed": 0, "preprocess_resolution": 30, "resolution": 500,
     "mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2,
 }  # fmt: skip
-"""CoACD's own defaults take minutes for one open box; these take seconds, for about as many parts."""
+"""CoACD settings; its defaults take minutes for one open box, these take seconds for about as many parts."""
 
 
 @dataclass(frozen=True)
 class Surface:
-    """A coloured triangle mesh, (V, 3) [m] in its link's frame and (F, 3)."""
+    """A coloured triangle mesh: vertices (V, 3) [m] in its link's frame and faces (F, 3)."""
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
@@ -44,10 +44,10 @@ class Surface:
 
 
 def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
-    """Returns the surfaces of a visual or collision element, in its link's frame, in the URDF's unit of length.
+    """Returns the surfaces of a visual or collision element, in its link's frame and the URDF's length unit.
 
     Raises:
-        ConfigurationError: the mesh is missing, outside the folder, of an unknown kind, or cannot be read.
+        ConfigurationError: the mesh is missing, outside the folder, of an unknown type, or unreadable.
     """
     import trimesh
 
@@ -72,7 +72,7 @@ def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
 
 
 def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float, float] | None], ...]:
-    """The triangle meshes of a file [m], in the file's frame, each with its main colour."""
+    """Returns the triangle meshes of a file [m], in its frame, each with its main colour."""
     import trimesh
 
     path = inside(folder, name)
@@ -99,7 +99,7 @@ def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float,
 
 
 def _collada_unit(path: Path, data: bytes) -> float:
-    """Metres per unit of a Collada file, which trimesh reads without it. Collada is XML, and checked as a URDF is."""
+    """Returns the metres per unit of a Collada file, which trimesh ignores; checks its XML like a URDF's."""
     asset = next((child for child in parse_xml(path, data) if child.tag.rpartition("}")[2] == "asset"), ())
     stated = next((child for child in asset if child.tag.rpartition("}")[2] == "unit"), None)
     unit = 1.0 if stated is None else numbers(path, stated.get("meter", "1"), 1, "the unit of length")[0]
@@ -114,7 +114,7 @@ def _collada_unit(path: Path, data: bytes) -> float:
 
 
 def _main_color(mesh: Any) -> tuple[float, float, float] | None:
-    """The colour of a mesh's material, or its texture's mean; None if it has none."""
+    """Returns the colour of a mesh's material, or the mean of its texture; None without either."""
     try:
         material = getattr(mesh.visual, "material", None)
         image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
@@ -126,15 +126,15 @@ def _main_color(mesh: Any) -> tuple[float, float, float] | None:
             mean = np.asarray(mesh.visual.main_color, np.float64)[:3]
         else:
             return None
-    except Exception:  # a picture that cannot be read costs a colour, not the object
+    except Exception:  # an unreadable image loses the colour, not the object
         logger.warning("a material could not be read: grey instead")
         return None
-    linear = (mean / 255) ** 2.2  # files hold sRGB, shaders work on linear colours
+    linear = (mean / 255) ** 2.2  # files contain sRGB, shaders use linear colours
     return float(linear[0]), float(linear[1]), float(linear[2])
 
 
 def convex_parts(surface: Surface) -> tuple[tuple[NDArray[np.float64], NDArray[np.int64]], ...]:
-    """Returns convex meshes (V, 3), (F, 3) that together cover a surface: its hull, or CoACD's parts of it."""
+    """Returns convex meshes (V, 3), (F, 3) that together cover a surface: its hull, or its CoACD parts."""
     import trimesh
 
     mesh = trimesh.Trimesh(surface.vertices, surface.faces, process=True)
@@ -157,7 +157,7 @@ def _hull(vertices: NDArray[np.float64]) -> Any:
 
 
 def _fills(mesh: Any, hull: Any) -> bool:
-    """Whether a mesh is close to its hull: by volume if it is closed, else by how far the hull is off its surface."""
+    """Whether a mesh is close to its hull: by volume if closed, otherwise by the hull's distance to the surface."""
     from scipy.spatial import cKDTree
     from trimesh.sample import sample_surface
 
@@ -171,7 +171,7 @@ def _fills(mesh: Any, hull: Any) -> bool:
 
 
 def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
-    """The vertices of CoACD's parts, from a cache where they are known; none if CoACD is not installed or fails."""
+    """Returns the vertices of CoACD's parts, cached between runs; empty if CoACD is missing or fails."""
     vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
     digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + f"{COACD_OPTIONS}".encode()).hexdigest()[:32]
     path = cache_folder() / f"{digest}.npz"
@@ -206,6 +206,6 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
 
 
 def cache_folder() -> Path:
-    """Where convex parts are kept between runs."""
+    """Returns the folder of cached convex parts."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "lerobot_adamanip" / "convex"

@@ -1,4 +1,4 @@
-"""The files that a URDF, a mesh or a material names: found inside the object's folder, and nowhere else."""
+"""Files that a URDF, mesh or material refers to; only files inside the object's folder are accepted."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ from typing import Any
 from lerobot_adamanip.util.errors import ConfigurationError
 
 MAX_BYTES = 256_000_000
-"""No mesh, material or texture of a household object is larger."""
+"""Larger than any mesh, material or texture of a household object."""
 
 
 class MissingFileError(ConfigurationError):
-    """A file that is named but is not in the folder."""
+    """A referenced file that does not exist in the folder."""
 
 
 def inside(folder: Path, name: str) -> Path:
-    """Returns the file a URDF names, which has to lie in the object's folder.
+    """Returns a file that a URDF refers to, which must be inside the object's folder.
 
     Args:
-        folder: of the object.
-        name: relative to the folder; ``package://name/rest`` is looked for as ``rest`` and ``name/rest``. A name in
-            other letters' case, as file systems of other machines read it, is read if it fits one file.
+        folder: folder of the object.
+        name: relative to the folder. ``package://name/rest`` is searched as ``rest`` and ``name/rest``. A name in
+            different case is accepted if it matches one file.
 
     Raises:
-        MissingFileError: no such file.
-        ConfigurationError: the path leads elsewhere (``..``, absolute, another scheme, a link).
+        MissingFileError: the file does not exist.
+        ConfigurationError: the path leaves the folder (``..``, absolute, another scheme, a link).
     """
     root, text = folder.resolve(), name.strip().replace("\\", "/")
     rest = text.removeprefix("package://")
@@ -44,13 +44,13 @@ def inside(folder: Path, name: str) -> Path:
 
 
 def missing_file(folder: Path, name: str) -> ConfigurationError:
-    """Returns the error for a file that is named but is not in the folder."""
+    """Returns the error for a referenced file that does not exist in the folder."""
     return _refused(folder, name, "a file that is missing", MissingFileError)
 
 
 def present(root: Path, relative: str) -> Path | None:
-    """Returns the file at a relative path; else the one file whose path differs in letters' case only; else None."""
-    if os.path.isfile(root / relative):  # False, not an error, for a name that no file can have
+    """Returns the file at a relative path, otherwise the only file that matches it except for case, otherwise None."""
+    if os.path.isfile(root / relative):  # False, not an error, for an impossible name
         return root / relative
     here = root
     for part in PurePosixPath(relative).parts:
@@ -64,7 +64,7 @@ def present(root: Path, relative: str) -> Path | None:
 
 
 def resolver(folder: Path, base: Path) -> Any:
-    """Returns what fetches the files a mesh names (materials, textures) for trimesh: from inside the folder only."""
+    """Returns trimesh's resolver of the files that a mesh refers to, limited to the folder."""
     import trimesh
 
     root = folder.resolve()

@@ -1,4 +1,4 @@
-"""Whether an external asset's meshes can be its category's: nothing that matters is missing, or of a wrong size."""
+"""Plausibility checks of an external asset's meshes: no important mesh is missing or has a wrong size."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ from lerobot_adamanip.util.errors import listed
 Array = NDArray[np.float64]
 
 SMALLEST, LARGEST = 0.02, 3.0
-"""Longest side of an object that is plausible in metres, whatever its category."""
+"""Range of the longest side of an object [m], for all categories."""
 OFF = 6.0
-"""A size this many times smaller or larger than usual is a wrong unit (inches, centimetres, millimetres)."""
+"""Factor to the usual size above which the unit must be wrong (inches, centimetres, millimetres)."""
 HELD = 0.04
-"""What a hand holds is no farther from its tool centre point than its fingers open to one side [m]."""
+"""Maximum distance of a held mesh from the tool centre point: the finger opening to one side [m]."""
 
 
 def check_meshes(found: Posed, annotation: Annotation) -> None:
-    """Raises `ConfigurationError` if a part that matters has no mesh left, or is of a size that it cannot have."""
+    """Raises `ConfigurationError` if an important part has no mesh or an implausible size."""
     _require_meshes(found, annotation)
     _require_sizes(found, annotation)
 
 
 def left_out(found: Posed) -> str:
-    """Returns the meshes that a URDF names and its folder does not hold, for descriptions; an empty text if none."""
+    """Returns the missing meshes of a URDF, as text for descriptions; empty if none is missing."""
     return listed(list(dict.fromkeys(repr(name) for missing in found.missing.values() for name in missing)))
 
 
 def tell_left_out(found: Posed) -> None:
-    """Warns, once, of meshes that are missing and of joints that do not follow the one they should."""
+    """Warns once about missing meshes and about mimic joints, which do not move here."""
     path, followers = found.urdf.path, [joint for joint in found.urdf.moving if joint.mimic is not None]
     if names := left_out(found):
         warn_once(f"{path}: names files that are missing, which are left out: {names}")
@@ -48,7 +48,7 @@ def tell_left_out(found: Posed) -> None:
 
 
 def _require_meshes(found: Posed, annotation: Annotation) -> None:
-    """What the joints move and what is held has to be there; and so has something of what stands still."""
+    """Requires meshes for moving links, held links, and at least one static link."""
     urdf, roles = found.urdf, ROLES[annotation.category]
     children = {joint.name: joint.child for joint in urdf.joints}
     matter = [children[annotation.joints[role.name].joint] for role in roles.joints]
@@ -81,11 +81,11 @@ def _is_held(found: Posed, annotation: Annotation, part: PartChoice, links: Iter
 
 
 def _require_sizes(found: Posed, annotation: Annotation) -> None:
-    """Seen and solid alike: a unit that is read wrong makes a part tens of times too large or too small."""
+    """Checks visual and collision sizes: a wrong unit makes a part tens of times too large or too small."""
     roles, urdf = ROLES[annotation.category], found.urdf
     least, most = max(SMALLEST, roles.typical_size / OFF), min(LARGEST, OFF * roles.typical_size)
     for surfaces in (found.visuals, found.collisions):
-        for role in reversed(roles.joints):  # the smaller part first: it tells more than the larger that carries it
+        for role in reversed(roles.joints):  # the smaller part first, because it tells more
             joint = next(each for each in urdf.joints if each.name == annotation.joints[role.name].joint)
             longest, (smallest, largest) = _longest(surfaces, _below(urdf, joint.child)), role.extents
             what = f"is of a size no {annotation.category} has." if longest else "moves no shape."
@@ -101,14 +101,14 @@ def _require_size(urdf: Urdf, what: str, longest: float, least: float, most: flo
 
 
 def _longest(surfaces: Mapping[str, tuple[Surface, ...]], links: Iterable[str]) -> float:
-    """The longest side of the box around links, root frame [m]; 0 if they have no shape."""
+    """Returns the longest side of the box around links, in the root frame [m]; 0 without shapes."""
     points = [surface.vertices for name in links for surface in surfaces[name]]
     return float(np.ptp(np.concatenate(points), axis=0).max()) if points else 0.0
 
 
 def _below(urdf: Urdf, link: str) -> list[str]:
-    """A link and all that moves with it."""
+    """Returns a link and all its descendants."""
     links = [link]
-    for name in links:  # grows while it is gone through
+    for name in links:  # grows during iteration
         links += [joint.child for joint in urdf.joints if joint.parent == name]
     return links

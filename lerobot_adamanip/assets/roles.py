@@ -1,4 +1,4 @@
-"""What an external asset's joints and parts are called here, per category, and how its annotated points are held."""
+"""Roles of external assets' joints and parts by category, and the grasps at their annotated points."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ GraspKind = Literal["facing", "from_above"]
 
 @dataclass(frozen=True)
 class JointRole:
-    """A joint a category needs.
+    """A joint that a category needs.
 
     Attributes:
-        name: here.
-        kind: type it has to have (a continuous joint counts as revolute).
-        either_way: whether it turns to both sides of zero.
-        upper: range where the URDF states none [rad or m] (upstream's nominal value).
-        damping: see `Joint`; URDFs of those collections state none that can be used.
-        extents: longest side of all that it moves, of the smallest and of the largest generated object [m].
+        name: this project's name.
+        kind: required type (a continuous joint counts as revolute).
+        either_way: whether it turns in both directions from zero.
+        upper: default range if the URDF has none [rad or m] (upstream's nominal value).
+        damping: see `Joint`; the URDFs of these collections have no usable value.
+        extents: longest side of its moving links, for the smallest and the largest generated object [m].
     """
 
     name: str
@@ -32,18 +32,18 @@ class JointRole:
 
 @dataclass(frozen=True)
 class PartRole:
-    """A part a category needs.
+    """A part that a category needs.
 
     Attributes:
-        name: here.
-        joints: that have to carry it.
-        point_files: of AdaManip's and UniDoorManip's layouts that may hold its annotated point, best first.
-        grasp: direction a hand comes from.
-        roll: of the fingers about the approach [rad] (`facing`, `from_above`).
-        past: from the annotated point to the tool centre point along the approach [m]: upstream holds with the hand's
-            origin some way before the point, and the tool centre point is 0.1034 m before that.
-        up: from the annotated point upwards [m].
-        round: whether it may be held from every side.
+        name: this project's name.
+        joints: joints that must carry it.
+        point_files: files of AdaManip's and UniDoorManip's layouts that may contain its point, preferred ones first.
+        grasp: approach direction of the hand.
+        roll: rotation of the fingers about the approach [rad] (`facing`, `from_above`).
+        past: distance from the annotated point to the tool centre point, along the approach [m]. Upstream keeps the
+            hand's origin before the point, with the tool centre point 0.1034 m from it.
+        up: upward offset from the annotated point [m].
+        round: whether it can be held from every side.
     """
 
     name: str
@@ -58,17 +58,17 @@ class PartRole:
 
 @dataclass(frozen=True)
 class Roles:
-    """What a category consists of: ``final`` opens it, ``key`` releases it (the paper's names)."""
+    """Joints and parts of a category: ``final`` opens it, ``key`` releases it (the paper's names)."""
 
     final: JointRole
     key: JointRole
     parts: tuple[PartRole, ...]
     folders: tuple[str, ...]
-    """Names of a directory of such objects: ours first, then AdaManip's."""
+    """Directory names of such objects: this project's first, then AdaManip's."""
     typical_size: float
     """Longest side of an object [m]."""
     partnet: tuple[str, ...] = ()
-    """PartNet-Mobility's names of the category."""
+    """PartNet-Mobility's names for the category."""
 
     @property
     def joints(self) -> tuple[JointRole, JointRole]:
@@ -144,4 +144,4 @@ ROLES: dict[str, Roles] = {
         ("safe",), 0.42, ("Safe",),
     ),
 }  # fmt: skip
-"""Per category. Ranges, holding directions and offsets: AdaManip's code, as far as its annotations depend on them."""
+"""By category. Ranges, grasp directions and offsets are from AdaManip's code, as its annotations depend on them."""

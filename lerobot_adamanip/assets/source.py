@@ -1,4 +1,4 @@
-"""External assets: which ones a folder holds, which of them can be used, and loading them by id, ``safe:sa1``."""
+"""External assets in a folder: listing, checking, and loading them by id, for instance ``safe:sa1``."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from lerobot_adamanip.objects.base import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
 
 PlacementCheck = Callable[[ArticulatedObject], str]
-"""Says why an object cannot be placed before the arm; an empty text if it can. The simulator's package has one."""
+"""Returns why the arm's scene cannot place an object, or an empty text. The simulator's package provides one."""
 MAX_NAME_BYTES = 100
-"""An id is part of a file's name, and has to stay shorter than a dataset's limit for ids."""
+"""Maximum length of an id: ids are parts of file names, and datasets limit them."""
 ALLOWED_NAMES = f"letters, digits, spaces and _ . + -, no dot or space first, no space last, {MAX_NAME_BYTES} bytes"
 
 
@@ -38,9 +38,9 @@ def parse_asset_id(identifier: str) -> tuple[str, str]:
 
 
 def name_problem(name: str) -> str:
-    """Returns why a folder with this name cannot be an object; an empty text if it can.
+    """Returns why a folder name cannot be part of an id; empty if it can.
 
-    Separators of paths, ids and selections are refused: an id can be a file's name, and cannot leave its directory.
+    Separators of paths, ids and selections are rejected, because an id becomes part of a file name.
     """
     if len(name.encode(errors="surrogatepass")) <= MAX_NAME_BYTES and re.fullmatch(r"[\w+-]([\w.+ -]*[\w.+-])?", name):
         return ""
@@ -48,21 +48,21 @@ def name_problem(name: str) -> str:
 
 
 def load_object(folder: str | Path, category: str, *, solid: bool = True) -> ArticulatedObject:
-    """Loads ``folder/mobility.urdf`` and its annotation as an object of ``category``, in our object frame.
+    """Loads ``folder/mobility.urdf`` and its annotation as an object of ``category``, in this project's object frame.
 
-    Joints and parts get the category's own names (`ROLES`); joints that play no role are frozen at zero. The grasp
-    comes from ``adamanip.json`` or, if there is none, from AdaManip's or UniDoorManip's annotated point. What has not
-    changed on disk is not read again. Without ``solid``, it lacks the shapes it collides as, which may take long.
+    Joints and parts get the category's names (`ROLES`); joints without a role are fixed at zero. The grasp comes from
+    ``adamanip.json``, otherwise from AdaManip's or UniDoorManip's annotated point. Unchanged files are cached. Without
+    ``solid``, the object has no collision shapes, whose computation may be slow.
 
     Raises:
-        ConfigurationError: anything is missing, broken, or not allowed; the message says what to do.
+        ConfigurationError: a file is missing, broken or not allowed; the message says what to do.
     """
     path = _named(Path(folder))
     return _load_cached(path, require_choice("category", category, ROLES), solid, _stamps(path))
 
 
 Stamps = tuple[tuple[str, int, int], ...]
-"""Name, time [ns] and size [bytes] of every file under a folder: an edited one makes another object."""
+"""Name, time [ns] and size [bytes] of every file in a folder; detects edited files."""
 
 
 def _stamps(folder: Path) -> Stamps:
@@ -89,13 +89,13 @@ def _problem_cached(placement_problem: PlacementCheck | None, folder: Path, cate
 
 
 def _named(folder: Path) -> Path:
-    """The absolute path that keeps the folder's own name: a link's object is called as the link is."""
+    """Returns the absolute path, keeping the folder's own name if it is a link."""
     return folder.resolve() if folder.name in ("", "..") else folder.absolute()
 
 
 @dataclass(frozen=True)
 class AssetReport:
-    """What a check of one folder found: the asset's id, and what keeps it from being used (empty: nothing)."""
+    """Result of checking one folder: the asset's id, and the problem that makes it unusable (empty: none)."""
 
     asset_id: str
     problem: str
@@ -103,38 +103,38 @@ class AssetReport:
 
     @property
     def usable(self) -> bool:
-        """Whether nothing keeps it from being used."""
+        """Whether the asset has no problem."""
         return not self.problem
 
 
 @dataclass(frozen=True)
 class AssetSource:
-    """The external assets under a directory.
+    """External assets in a directory.
 
-    Objects of a category are the folders with a ``mobility.urdf`` in ``DIR/<category>`` (or AdaManip's own name for
-    it, as ``coffee_machine``), or, if there is none of those, in ``DIR`` itself. A folder whose ``adamanip.json`` (or
-    PartNet-Mobility ``meta.json``) names another category is passed over.
+    Objects of a category are the folders with a ``mobility.urdf`` in ``DIR/<category>`` (or AdaManip's name for it,
+    ``coffee_machine``), otherwise those in ``DIR`` itself. A folder is skipped if its ``adamanip.json`` (or
+    PartNet-Mobility ``meta.json``) names another category.
 
     Attributes:
         directory: see above.
-        placement_problem: says why an object cannot be placed before the arm; None: nobody asks. Objects that cannot
-            be placed are left out like those that cannot be loaded.
+        placement_problem: returns why an object cannot be placed in front of the arm; None for no check. Objects that
+            cannot be placed are left out, as those that cannot be loaded.
     """
 
     directory: str | Path
     placement_problem: PlacementCheck | None = None
 
     def ids(self, category: str) -> tuple[str, ...]:
-        """Returns the ids of the objects of a category, sorted; folders whose name cannot be an id have none.
+        """Returns the sorted object ids of a category; skips folders whose name cannot be an id.
 
         Raises:
-            ConfigurationError: no such directory, or no object of that category in it.
+            ConfigurationError: the directory does not exist, or has no object of that category.
         """
         found = self._found(category)
         return tuple(each.asset_id for each in found if each.usable) or self._usable(category, found)
 
     def folder(self, identifier: str) -> Path:
-        """Returns the folder of an object; `ConfigurationError` if the id is none, or there is no such folder."""
+        """Returns the folder of an object; raises `ConfigurationError` if the id or the folder does not exist."""
         category, name = parse_asset_id(identifier)
         folders = _folders(Path(self.directory), category)
         for each in folders:
@@ -152,14 +152,14 @@ class AssetSource:
         return load_object(self.folder(identifier), parse_asset_id(identifier)[0], solid=solid)
 
     def select(self, category: str, selection: str) -> tuple[str, ...]:
-        """Returns ids for ``seen`` or ``all`` (every folder), ``0:4`` (a range of them, sorted), or ``id,id``.
+        """Returns ids for ``seen`` or ``all`` (every folder), ``0:4`` (a range of the sorted ids), or ``id,id``.
 
-        Folders that cannot be used are left out of ``seen``, ``all`` and ranges, with one warning that lists them;
-        an id that is named is kept, and loading it says what is wrong.
+        ``seen``, ``all`` and ranges omit unusable folders, with one warning that lists them. An explicit id is kept;
+        loading it raises its error.
 
         Raises:
-            ConfigurationError: the selection is none of these, or empty, or nothing in it can be used. ``unseen`` and
-                ``novel`` are refused: which of somebody's objects were seen is theirs to say.
+            ConfigurationError: the selection is invalid or empty, or nothing in it is usable. ``unseen`` and ``novel``
+                are rejected, because only the user knows which objects were seen in training.
         """
         if selection in ("seen", "all"):
             return self._usable(category, self._found(category))
@@ -182,11 +182,11 @@ class AssetSource:
         return chosen
 
     def holds(self, category: str) -> bool:
-        """Returns whether there is a folder of that category, usable or not."""
+        """Returns whether the category has a folder, usable or not."""
         return bool(self._of_category(category))
 
     def check(self, category: str) -> tuple[AssetReport, ...]:
-        """Returns, per folder of a category, whether it can be used, and why not; `ConfigurationError` without any."""
+        """Returns a report for each folder of a category; raises `ConfigurationError` if there is none."""
         return tuple(self._report(category, each) for each in self._found(category))
 
     def _report(self, category: str, found: AssetReport) -> AssetReport:
@@ -227,7 +227,7 @@ class AssetSource:
 
 
 def _folders(directory: Path, category: str) -> list[AssetReport]:
-    """The object folders in ``directory/<category>``, else in ``directory``, sorted by name; checked by name alone."""
+    """Returns the object folders in ``directory/<category>``, otherwise in ``directory``; checks only their names."""
     if not directory.is_dir():
         raise ConfigurationError(
             "The folder of external assets does not exist.",
@@ -244,14 +244,14 @@ def _folders(directory: Path, category: str) -> list[AssetReport]:
         problem, other = name_problem(folder.name), used.setdefault(folder.name, folder).parent.name
         if used[folder.name] != folder:
             problem = f"{other}/ has a folder of the same name, which is used: rename this one in {folder.parent.name}/"
-        # What cannot be printed is escaped.
+        # Non-printable characters are escaped.
         shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in folder.name)
         found.append(AssetReport(f"{category}:{shown}", problem, folder))
     return sorted(found, key=lambda each: (each.folder.name, not each.usable))
 
 
 def _category_of(folder: Path) -> str | None:
-    """The category a folder says it is of: ours by name, another's as an empty text, None if it says nothing."""
+    """Returns the category in a folder's metadata; an empty text for an unknown one, None without metadata."""
     said = _json_value(folder / ANNOTATION_NAME, "category")
     if said is not None:
         return str(said)
@@ -262,7 +262,7 @@ def _category_of(folder: Path) -> str | None:
 
 
 def _json_value(path: Path, key: str) -> object:
-    # A broken file is reported when the object is loaded; here it says nothing.
+    # A broken file raises its error when the object is loaded; it is ignored here.
     try:
         value = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""AdaManip's and UniDoorManip's annotations: a point per part, and constants of AdaManip's code for how it is held."""
+"""AdaManip's and UniDoorManip's annotations: one point per part, and AdaManip's constants for its grasp."""
 
 from __future__ import annotations
 
@@ -26,25 +26,25 @@ from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 MAX_POINT_BYTES = 1_000_000
 PART_FROM_OBJECT: NDArray[np.float64] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
-"""AdaManip's part frames: y up, z out of the front. Takes our object frame's directions to theirs."""
+"""Rotation from our object frame to AdaManip's part frames: y up, z out of the front."""
 _DEFAULT_FINAL, _DEFAULT_KEY = "joint_1", "joint_2"
 
 
 def find_annotation(urdf: Urdf, category: str) -> Annotation:
-    """Returns the annotation of an object: ``adamanip.json`` if there is one, else AdaManip's or UniDoorManip's points.
+    """Returns an object's annotation: from ``adamanip.json``, otherwise from AdaManip's or UniDoorManip's points.
 
     Raises:
-        ConfigurationError: there is none, or it is broken.
+        ConfigurationError: there is no annotation, or it is broken.
     """
     path = urdf.path.parent / ANNOTATION_NAME
     return read_annotation(path, category) if path.is_file() else upstream_annotation(urdf, category)
 
 
 def upstream_annotation(urdf: Urdf, category: str) -> Annotation:
-    """Returns what AdaManip's or UniDoorManip's files say: a point per part, in the frame of its link.
+    """Returns the annotation in AdaManip's or UniDoorManip's files: a point per part, in the frame of its link.
 
-    Joints are ``joint_1`` (final) and ``joint_2`` (key), or, where these are not there, the first two that move. How a
-    hand comes to the point is AdaManip's constant for the category.
+    Joints are ``joint_1`` (final) and ``joint_2`` (key), otherwise the first two moving ones. The approach to the point
+    is AdaManip's constant for the category.
     """
     roles = ROLES[require_choice("category", category, ROLES)]
     joints = guessed_joints(urdf, category)
@@ -60,10 +60,10 @@ def upstream_annotation(urdf: Urdf, category: str) -> Annotation:
 
 
 def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
-    """Returns the joints that play the category's roles, by AdaManip's names or by their order.
+    """Returns the joints for the category's roles, by AdaManip's names or by their order.
 
     Raises:
-        ConfigurationError: fewer than two joints move, or not in the way the category needs.
+        ConfigurationError: fewer than two joints move, or one has the wrong type.
     """
     roles, moving = ROLES[category], {joint.name: joint for joint in urdf.moving}
     if {_DEFAULT_FINAL, _DEFAULT_KEY} <= set(moving):
@@ -79,7 +79,7 @@ def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
 
 
 def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
-    """Raises `ConfigurationError` if a joint does not move in the way its role needs."""
+    """Raises `ConfigurationError` if a joint does not have the type of its role."""
     kind = "revolute" if joint.kind == "continuous" else joint.kind
     if kind != role.kind:
         what, hint = f"joint {joint.name!r} cannot be the {role.name}.", f"{annotate_hint(urdf.path)}, choose the joint"
@@ -87,7 +87,7 @@ def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
 
 
 def default_choice(role: JointRole, joint: UrdfJoint) -> JointChoice:
-    """Returns where a joint rests and opens to: zero (or what is next to it), and its limit on the longer side."""
+    """Returns a joint's default range: from zero, or the nearest limit, to the limit on the longer side."""
     lower, upper = joint.limits or (0.0, role.upper)
     if upper - lower < 1e-6:
         lower, upper = 0.0, role.upper
@@ -96,7 +96,7 @@ def default_choice(role: JointRole, joint: UrdfJoint) -> JointChoice:
 
 
 def part_link(urdf: Urdf, part: PartRole, joints: Mapping[str, JointChoice], final: JointRole, key: JointRole) -> str:
-    """Returns the link a part belongs to: under its last joint, or a handle with a joint of its own on that link."""
+    """Returns the link of a part: the child of its last joint, or a handle with its own joint on that link."""
     children = {joint.name: joint.child for joint in urdf.joints}
     link = children[joints[part.joints[-1]].joint]
     if part.joints == (final.name,) and part.name == "handle":
@@ -115,10 +115,10 @@ def upstream_grasp(part: PartRole, point: NDArray[np.float64]) -> Pose:
 
 
 def read_point(path: Path) -> NDArray[np.float64]:
-    """Reads a point (3,): a ``goal_pos`` in JSON, numpy's .npy, or a tensor that torch saved under that name.
+    """Reads a point (3,): ``goal_pos`` in JSON, numpy's .npy, or a tensor with that name saved by torch.
 
     Raises:
-        ConfigurationError: anything else, pickled objects above all (nothing is unpickled).
+        ConfigurationError: the file is anything else, for instance a pickle; nothing is unpickled.
     """
     if path.stat().st_size > MAX_POINT_BYTES:
         raise broken(path, "too large for a point.", f"{path.stat().st_size} bytes", "3 numbers")

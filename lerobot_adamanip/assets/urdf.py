@@ -1,4 +1,4 @@
-"""A careful reader of URDF: what others wrote is checked, not trusted. Nothing outside the given text is read."""
+"""Parser of untrusted URDF files; reads nothing outside the given text."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ UrdfJointKind = Literal["fixed", "revolute", "continuous", "prismatic"]
 GeometryKind = Literal["box", "cylinder", "sphere", "mesh"]
 JOINT_KINDS: tuple[UrdfJointKind, ...] = ("fixed", "revolute", "continuous", "prismatic")
 URDF_NAME = "mobility.urdf"
-"""What every layout calls its description."""
+"""File name of the URDF in every layout."""
 MAX_BYTES = 8_000_000
 MAX_LINKS = 1000
 SIZES = {
     "box": (3, "", ("size",)), "sphere": (1, "", ("radius",)), "cylinder": (2, "", ("radius", "length")),
     "mesh": (3, "1 1 1", ("scale",)),
 }  # fmt: skip
-"""Of each shape: how many numbers, what stands where none are written, and the attributes that hold them."""
+"""Shape -> number of values, default value, and the attributes that hold them."""
 
 
 @dataclass(frozen=True)
 class Geometry:
-    """A visual or collision element: ``size`` as URDF has it (box: full extents; cylinder: radius, length; sphere:
-    radius; mesh: scale along x, y, z), in the frame of its link at ``pose`` (4, 4).
+    """A visual or collision element in its link's frame at ``pose`` (4, 4); ``size`` as in URDF (box: full extents;
+    cylinder: radius, length; sphere: radius; mesh: scale along x, y, z).
     """
 
     kind: GeometryKind
@@ -43,7 +43,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class UrdfLink:
-    """A link; ``mass`` is None where the file states none that can be used [kg]."""
+    """A link; ``mass`` [kg] is None if the file has no usable one."""
 
     name: str
     visuals: tuple[Geometry, ...]
@@ -53,9 +53,9 @@ class UrdfLink:
 
 @dataclass(frozen=True)
 class UrdfJoint:
-    """A joint; ``pose`` (4, 4) is the child's in the parent at zero, ``axis`` (3,) a unit vector in the child.
+    """A joint; ``pose`` (4, 4) is the child frame in the parent at zero, ``axis`` (3,) a unit vector in the child.
 
-    ``mimic``: it goes where another joint tells it; None: it moves by itself.
+    ``mimic``: the joint that it follows; None for an independent joint.
     """
 
     name: str
@@ -70,7 +70,7 @@ class UrdfJoint:
 
 @dataclass(frozen=True)
 class Mimic:
-    """A joint stands at ``multiplier`` times the position of the joint ``leader``, plus ``offset`` [rad or m]."""
+    """Coupling of a joint: ``multiplier`` times the position of the joint ``leader``, plus ``offset`` [rad or m]."""
 
     leader: str
     multiplier: float
@@ -79,7 +79,7 @@ class Mimic:
 
 @dataclass(frozen=True)
 class Urdf:
-    """A tree of links; joints in the order of the file."""
+    """A tree of links; joints in file order."""
 
     path: Path
     links: dict[str, UrdfLink]
@@ -88,16 +88,16 @@ class Urdf:
 
     @property
     def moving(self) -> tuple[UrdfJoint, ...]:
-        """The joints that are not fixed."""
+        """All joints that are not fixed."""
         return tuple(joint for joint in self.joints if joint.kind != "fixed")
 
     @property
     def leading(self) -> tuple[UrdfJoint, ...]:
-        """The joints that move by themselves."""
+        """All independent joints."""
         return tuple(joint for joint in self.moving if joint.mimic is None)
 
     def joint_above(self, link: str) -> UrdfJoint | None:
-        """Returns the joint whose child a link is; None for the root."""
+        """Returns the joint whose child is ``link``; None for the root."""
         return next((joint for joint in self.joints if joint.child == link), None)
 
 
@@ -105,7 +105,7 @@ def read_urdf(path: Path) -> Urdf:
     """Reads a URDF.
 
     Raises:
-        ConfigurationError: no such file, not XML, with a document type (entities), or not one tree of links.
+        ConfigurationError: the file is missing, not XML, has a document type (entities), or is not a tree of links.
     """
     if not path.is_file():
         raise broken(path, "no such file.", "nothing", f"a folder with a {URDF_NAME}", hint="the folder of one object")
@@ -133,7 +133,7 @@ def _origin(path: Path, element: Any, where: str) -> Pose:
 
 
 def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
-    """The colour of a ``<color rgba>``, with or without alpha. One that cannot be read costs a colour, no object."""
+    """Returns the colour of ``<color rgba>``, with or without alpha; None if it is unreadable."""
     if element is None:
         return None
     written = element.get("rgba", "")
@@ -142,7 +142,7 @@ def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
     except ConfigurationError:
         warn_once(f"{path}: colour {written[:80]!r} left out: not 3 or 4 numbers")
         return None
-    # Written as screens show them; shaders work on linear colours.
+    # Files contain sRGB colours; shaders use linear ones.
     red, green, blue = np.clip(values[:3], 0, 1) ** 2.2
     return float(red), float(green), float(blue)
 
@@ -207,7 +207,7 @@ def _joint(path: Path, element: Any) -> UrdfJoint:
 
 
 def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ...]) -> str:
-    """Returns the name of the root, once it is certain that the links are one tree."""
+    """Returns the name of the root; raises an error unless the links form one tree."""
     names = [link.name for link in links]
     parents = {joint.child: joint.parent for joint in joints}
     roots = [name for name in names if name not in parents]

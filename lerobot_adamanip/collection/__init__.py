@@ -1,1 +1,1 @@
-"""Make demonstrations: run experts, record episodes, survive crashes, assemble a dataset."""
+"""Collection of demonstrations: run experts, record episodes, recover from crashes, assemble a dataset."""

@@ -35,8 +35,8 @@ class Contents:
     """Contents of a dataset.
 
     Attributes:
-        manifest: of the collection.
-        shards: files of its episodes, in order.
+        manifest: manifest of the collection.
+        shards: episode files, in order.
         attempts: all of the collection.
         repo_id: for its card.
     """
@@ -53,7 +53,7 @@ def assemble(
     """Writes a dataset, syncs it and reads it back. Its bytes do not depend on ``workers``.
 
     Args:
-        folder: that does not exist.
+        folder: output folder; must not exist.
         name: of the folder in which the dataset will be finally.
         contents: of the dataset.
         progress: called with the episodes written, and all.
@@ -96,7 +96,7 @@ def _empty(folder: Path, contents: Contents) -> Any:
 def append_shards(
     dataset: Any, shards: list[Path], progress: Callable[[int, int], None], workers: int = 1
 ) -> tuple[list[dict[str, Any]], list[int]]:
-    """Writes all episodes, and finalises the dataset; returns their records and their numbers of rows."""
+    """Writes all episodes and finalises the dataset; returns their records and row counts."""
     records: list[dict[str, Any]] = []
     lengths: list[int] = []
     appended = _appended(dataset, shards, workers) if can_append(dataset) else _written_by_lerobot(dataset, shards)

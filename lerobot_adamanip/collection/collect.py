@@ -40,7 +40,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 Listener = Callable[[str, int, int], None]
 """Called with a stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, and all."""
 _MIN_ROWS = 3
-"""Rows that an episode has at least."""
+"""Minimum number of rows per episode."""
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,11 @@ class CollectOptions:
 
     Attributes:
         workers: processes with a simulator each; or actors of the cluster, 0 for one per CPU of it.
-        worker_timeout: a worker without a heartbeat for so long is replaced [s]; on a cluster, one whose item takes
-            longer.
-        max_attempts: seeds to try per episode until the expert succeeds.
-        allow_missing: make a dataset even if some episodes were given up.
+        worker_timeout: a worker without a heartbeat for this long is replaced; on a cluster, the limit per item [s].
+        max_attempts: maximum number of seeds per episode.
+        allow_missing: whether to make a dataset although some episodes were given up.
         repo_id: for the dataset card; ``local/<folder name>`` by default.
-        cluster: Ray cluster that records: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
+        cluster: Ray cluster: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
         insecure_cluster: whether the cluster may go without a token.
         part: of the episodes, to record it alone, without making a dataset; None for all.
         adopt: roots of parts whose episodes are imported first.
@@ -94,7 +93,7 @@ def collect(
     then episodes are kept in ``<root>.partial``; none is removed before the dataset is synced and read back.
 
     Args:
-        root: of the dataset.
+        root: root folder of the dataset.
         spec: of the collection.
         factories: of environments and experts.
         options: of this run.
@@ -229,7 +228,7 @@ def _lost(result: jobs.JobResult[EpisodeSpec]) -> ItemOutcome:
 
 
 def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
-    """Returns why episodes were given up; raises `DatasetError` if any was and `options` allow none."""
+    """Returns why episodes were given up; raises `DatasetError` unless `options` allow missing ones."""
     failures = tuple(
         f"{each.item}: " + "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in each.value.attempts)
         for each in results
@@ -273,7 +272,7 @@ def _publish(
 
 
 def _failed_shards(paths: CollectionPaths, manifest: Manifest) -> list[Path]:
-    """Returns the files of failed attempts at items of this collection."""
+    """Returns the files of failed attempts in this collection."""
     return sorted(
         path
         for item in manifest.spec.items()

@@ -41,7 +41,7 @@ class Actor(Protocol):
 
 
 ActorFactory = Callable[[], Actor]
-"""Loads an actor. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
+"""Loads an actor. Must be a module-level function or a `functools.partial` of one, to be sent to workers."""
 
 
 TakeOver = Callable[..., KeyFrames]
@@ -56,7 +56,7 @@ class Correcting:
         actor: the policy; reset by `corrected_rollout`.
         take_over: returns the expert that labels, and sometimes acts.
         expert_share: probability that the expert acts at a key frame.
-        seed: of the episode.
+        seed: seed of the episode.
     """
 
     actor: Actor
@@ -74,8 +74,8 @@ def corrected_rollout(
     """Runs a policy, corrected by an expert, in a freshly reset environment until just after success.
 
     Args:
-        env: reset; ``observation`` is what its reset returned.
-        observation: the first one.
+        env: environment after a reset.
+        observation: observation from the reset.
         correcting: policy and expert.
         on_key_frame: called with every key frame.
     """

@@ -1,4 +1,4 @@
-"""The fingerprint of a collection: an environment's, and the code that makes a dataset's rows of its episodes."""
+"""Fingerprint of a collection: the environment's, plus the code that turns its episodes into dataset rows."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util.fingerprint import code_closure, code_hash
 
 RECORDING = ("lerobot_adamanip.collection.record", "lerobot_adamanip.collection.assemble")
-"""Modules that rows start from."""
+"""Entry modules for the code that writes rows."""
 
 
 @functools.cache
@@ -18,5 +18,5 @@ def recording_hash() -> str:
 
 
 def collection_fingerprint(env: SimulatedEnvironment) -> dict[str, str]:
-    """Returns part -> hash or name of what decides the rows of a dataset that is collected in an environment."""
+    """Returns part -> hash or name of everything that affects the rows of a dataset from this environment."""
     return {**env.fingerprint(), "recording": recording_hash()}

@@ -1,4 +1,4 @@
-"""Identity of a collection's folders: checked before anything in them is kept, replaced or removed."""
+"""Identity checks of a collection's folders, before their content is kept, replaced or removed."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def prepare_partial(paths: CollectionPaths, manifest: Manifest) -> None:
     """Makes the partial folder, or checks that the existing one is of this collection.
 
     Raises:
-        DatasetError: it, or the dataset of failed episodes, holds episodes of another collection.
+        DatasetError: it, or the dataset of failed episodes, contains episodes of another collection.
     """
     if manifest.spec.keep_failed and not is_free(paths.failed):
         _require_same(manifest_path(paths.failed), manifest, paths.failed)

@@ -36,9 +36,9 @@ class LateStart:
     """A late start of an episode.
 
     Attributes:
-        key_frames: that an expert drives at most.
+        key_frames: maximum key frames of the unrecorded expert.
         move: (4, 4) motion of the hand away from the part, in the hand's frame [m].
-        seed: of the episode.
+        seed: seed of the episode.
     """
 
     key_frames: int
@@ -72,8 +72,8 @@ def start_late(
     Args:
         env: to be driven.
         start: of the episode.
-        reset: starts the episode anew; returns its first observation.
-        make_expert: returns the expert that drives.
+        reset: restarts the episode; returns its first observation.
+        make_expert: creates the unrecorded expert.
 
     Returns:
         The observation at the start, and the (n, 10) actions that led to it.

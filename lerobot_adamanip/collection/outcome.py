@@ -20,12 +20,12 @@ class Attempt:
     """One attempted episode.
 
     Attributes:
-        seed: of the episode.
-        hidden_state: its draw; None if there was no layout to draw it for.
+        seed: seed of the episode.
+        hidden_state: sampled values; None if no reachable layout was found.
         success: whether the expert succeeded.
-        reason: ``success``, or why not.
+        reason: ``success``, or the cause of failure.
         key_frames: of the episode.
-        late: whether it started late.
+        late: whether it had a late start.
     """
 
     seed: int
@@ -41,7 +41,7 @@ class ItemOutcome:
     """Result of an item.
 
     Attributes:
-        attempts: at it.
+        attempts: all attempts, in order.
         kept: whether the last one is kept: a success, or a corrected policy's episode with any end.
         failed: attempt -> content of its episode file, of failed episodes to keep. Empty once written.
         episode: content of the episode file to keep. None once written.

@@ -22,14 +22,14 @@ from lerobot_adamanip.util.jobs import JobResult
 
 @dataclass(frozen=True)
 class Part:
-    """Every ``count``-th episode of a collection, from the ``number``-th on (counted from 1)."""
+    """Every ``count``-th episode of a collection, starting with the ``number``-th (from 1)."""
 
     number: int
     count: int
 
     @classmethod
     def parse(cls, text: str) -> Part:
-        """Returns the part that ``K/N`` names; raises `ConfigurationError`."""
+        """Returns the part in the text ``K/N``; raises `ConfigurationError` if it is invalid."""
         found = re.fullmatch(r"(\d{1,5})/(\d{1,5})", text)
         part = cls(int(found[1]), int(found[2])) if found else cls(0, 0)
         if not 1 <= part.number <= part.count:
@@ -45,9 +45,9 @@ def import_parts(paths: CollectionPaths, manifest: Manifest, sources: Iterable[P
     """Copies the recorded episodes of parts into a collection; existing files stay as they are.
 
     Args:
-        paths: of the collection, prepared.
-        manifest: of the collection.
-        sources: roots of the parts.
+        paths: folders of the collection, already prepared.
+        manifest: manifest of the collection.
+        sources: root folders of the parts.
 
     Raises:
         DatasetError: one of them is no part, or of another collection, or still being recorded, or damaged.
@@ -95,7 +95,7 @@ def belongs(path: Path, manifest: Manifest, item: EpisodeSpec) -> bool:
 
 
 def failed_attempts(folder: Path, item: EpisodeSpec) -> list[Path]:
-    """Returns the files of an item's failed attempts, in their order."""
+    """Returns the files of an item's failed attempts, in order."""
     stem = item.file_name.removesuffix(".safetensors")
     paths = sorted(folder.glob(f"{stem}-*.safetensors"))
     return [path for path in paths if re.fullmatch(r"\d{3,6}", path.stem.removeprefix(f"{stem}-"))]

@@ -111,13 +111,13 @@ def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
     """Connects this process to a cluster, and yields the number of its CPUs.
 
     Args:
-        address: ``HOST:PORT``; ``auto`` for the one this machine belongs to; ``local`` for one of this machine alone,
-            which is started, listens on loopback only, demands a random token, and ends afterwards.
-        workers: CPUs of a local one; 0 for all of this machine's.
-        insecure: go on without a token.
+        address: ``HOST:PORT``; ``auto`` for this machine's cluster; ``local`` for a temporary cluster of this machine,
+            on loopback only and with a random token.
+        workers: CPUs of a local cluster; 0 for all CPUs of this machine.
+        insecure: whether to continue without a token.
 
     Raises:
-        ConfigurationError: there is no Ray or no such cluster, it is open, or it refuses the token.
+        ConfigurationError: Ray or the cluster is missing, the cluster is open, or it rejects the token.
     """
     require_usable(address, insecure=insecure)
     _set_environment(address)
@@ -183,7 +183,7 @@ def _connect(address: str, *, insecure: bool) -> None:
 
 
 def require_closed(address: str) -> None:
-    """Raises `ConfigurationError` if the cluster answers without its token."""
+    """Raises `ConfigurationError` if the cluster answers requests without a token."""
     bare = {name: value for name, value in os.environ.items() if not name.startswith("RAY_AUTH")}
     if _answer(address, {**bare, "RAY_AUTH_MODE": "disabled"}) == "open":
         raise ConfigurationError(

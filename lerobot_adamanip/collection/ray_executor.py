@@ -65,14 +65,14 @@ class _Call[Item]:
 
 
 class RayExecutor[Item]:
-    """Runs items on actors of the cluster that this process is connected to. Use as a context manager.
+    """Runs items on actors of the connected cluster. Use as a context manager.
 
     An actor has one CPU of the cluster and one item at a time. If it crashes, or works on an item for too long, another
     one runs the item; after `MAX_CRASHES` the item is given up.
 
     Args:
         session: creates what an actor keeps from item to item; a function of a module, or a partial of one.
-        count: of actors at most.
+        count: maximum number of actors.
         timeout: a longer work on one item [s] counts as a crash; a longer wait for a first free CPU is an error.
     """
 
@@ -95,7 +95,7 @@ class RayExecutor[Item]:
         self._calls.clear()
 
     def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
-        """Yields the result of each item, in the order they finish; raises `WorkerError`."""
+        """Yields the result of each item, in order of completion; raises `WorkerError`."""
         self._queue = deque(items)
         while self._queue or self._running():
             while self._queue and self._idle:
@@ -150,8 +150,8 @@ class RayExecutor[Item]:
         """Lets an actor go; its item is tried again or given up.
 
         Args:
-            call: that it did not answer.
-            cause: of the crash, as a dataset may say it.
+            call: unanswered call.
+            cause: cause of the crash, as stored in the dataset.
             details: from Ray, for the screen.
         """
         self._end(call.actor)
@@ -168,11 +168,11 @@ class RayExecutor[Item]:
 
 
 def crash(error: RayError) -> str:
-    """Returns the type of a crash and how the process ended: what a dataset may say, without addresses and ids."""
+    """Returns the type of a crash and of the process exit, without addresses and ids, for a dataset."""
     kind = re.search(r"exit type: ([A-Z_]+)", str(error))
     return type(error).__name__ + (f", {kind[1]}" if kind else "")
 
 
 def reason(error: RayError) -> str:
-    """Returns what Ray says of a crash, in one line; for the screen only."""
+    """Returns Ray's message of a crash in one line; for the screen only."""
     return f"{type(error).__name__}: {' '.join(str(error).split())[:400]}"

@@ -32,12 +32,12 @@ from lerobot_adamanip.util.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.util.jobs import Heartbeat
 
 _EXPERT_STREAM = 1
-"""Tells the expert's random stream from any other that starts from the episode's seed."""
+"""Stream id that separates the expert's random numbers from others with the same episode seed."""
 
 EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
-"""Builds an environment. A function of a module, or a `functools.partial` of one: workers get it from the parent."""
+"""Builds an environment. Must be a module-level function or a `functools.partial` of one, to be sent to workers."""
 ExpertFactory = Callable[..., KeyFrames]
-"""Takes the arguments of `lerobot_adamanip.experts.make_expert`. A function of a module, likewise."""
+"""Creates an expert; arguments of `lerobot_adamanip.experts.make_expert`. Must be module-level, too."""
 
 
 @dataclass(frozen=True)
@@ -46,8 +46,8 @@ class Factories:
 
     Attributes:
         environment: builds environments.
-        expert: makes experts.
-        actor: loads the policy that is corrected; None where experts demonstrate.
+        expert: creates experts.
+        actor: loads the policy to correct; None if experts demonstrate.
     """
 
     environment: EnvFactory
@@ -66,13 +66,13 @@ class EpisodeRequest:
 
 @dataclass(frozen=True)
 class RecordingJob:
-    """What a worker needs to record episodes of a collection.
+    """Settings that a worker needs to record episodes.
 
     Attributes:
-        spec: of the collection.
+        spec: specification of the collection.
         factories: of environments and experts.
-        max_attempts: seeds to try per episode until the expert succeeds.
-        fingerprint: that every environment has to have.
+        max_attempts: maximum number of seeds per episode.
+        fingerprint: required fingerprint of every environment.
     """
 
     spec: CollectionSpec
@@ -181,7 +181,7 @@ def attempt_episode(
     *,
     actor: Actor | None = None,
 ) -> tuple[Attempt, RecordedEpisode]:
-    """Records one episode, successful or not: an expert's, or a policy's that an expert corrects."""
+    """Records one episode, successful or not: an expert's, or a policy's with expert corrections."""
     seed = request.seed
     observation, actions = _started(env, spec, make_expert, request)
     hidden, camera = env.hidden_state(), env.camera_parameters()

@@ -25,10 +25,10 @@ class EpisodeRecorder:
 
     Attributes:
         joints: returns the present joint positions (13,), see `schema.JOINT_NAMES`.
-        failed_before: failed tries before the recording began, which its rows do not count.
-        rows: so far, column -> array, without the terminal one.
+        failed_before: failed tries before the recording; its rows do not count them.
+        rows: recorded rows, column -> array, without the terminal one.
         tries: so far.
-        failed_tries: of those.
+        failed_tries: number of failed tries so far.
     """
 
     joints: Callable[[], NDArray[np.float32]]

@@ -39,9 +39,9 @@ from lerobot_adamanip.util.fingerprint import combined
 
 Progress = Callable[[str, int, int], None]
 MANIFEST, SOURCE = "collection.json", "source"
-"""Files of the work folder: the manifest of the new dataset, and which one it is made from."""
+"""Files of the work folder: manifest of the new dataset, and identity of its source."""
 TOLERANCE = 1e-5
-"""How far the first joints of an episode may be from those of its scene set up anew [rad or m]."""
+"""Tolerance between an episode's first joint positions and its rebuilt scene [rad or m]."""
 
 
 def add_pictures(
@@ -53,20 +53,20 @@ def add_pictures(
     repo_id: str | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> int:
-    """Writes a copy of a dataset with the column of images; returns its number of episodes.
+    """Writes a copy of a dataset with an image column; returns the number of episodes.
 
-    Finished episodes are kept in ``<out>.rendering``, where the same call resumes.
+    Finished episodes are kept in ``<out>.rendering``, and the same call resumes there.
 
     Args:
-        root: of a dataset collected without images.
-        out: of the new one; another folder.
-        make_env: builds the environment; nothing in the dataset does.
+        root: dataset collected without images.
+        out: root of the new dataset; another folder.
+        make_env: builds the environment; it never comes from the dataset.
         assets: folder of external assets, if the dataset was recorded with any.
         repo_id: for its card; ``local/<folder name>`` by default.
         progress: called with a stage (``render``, ``assemble``), episodes done, and all.
 
     Raises:
-        DatasetError: it has images, or is not whole, or its scenes come out differently now.
+        DatasetError: the dataset already has images or is incomplete, or its scenes have changed.
         SimulatorError: this machine cannot render.
     """
     require_repo_id(repo_id)
@@ -115,7 +115,7 @@ def _prepare(output: OutputFolder, manifest: Manifest, source: CollectedDataset)
 def _rendered(
     folder: Path, source: CollectedDataset, manifest: Manifest, make_env: EnvFactory, progress: Progress
 ) -> list[Path]:
-    """Renders the episodes that are not there yet; returns all their files, in order."""
+    """Renders the missing episodes; returns all episode files in order."""
     shards = []
     with Environments(make_env, manifest.spec) as environments:
         for number, row in enumerate(source.rows):
@@ -129,7 +129,7 @@ def _rendered(
 
 
 def _require_same_work(output: OutputFolder, manifest: Manifest, dataset: CollectedDataset) -> None:
-    """Raises `DatasetError` if the work folder holds pictures of another dataset, or by other code."""
+    """Raises `DatasetError` if the work folder belongs to another dataset or other code."""
     if count_episodes(output.work) == 0 and is_free(output.root):
         return
     require_same(read_manifest(output.work / MANIFEST, manifest.spec.environment.assets), manifest, output.work)
@@ -144,7 +144,7 @@ def _require_same_work(output: OutputFolder, manifest: Manifest, dataset: Collec
 
 
 def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
-    """Cleans up after a run that was interrupted when it had moved the dataset into place."""
+    """Cleans up after a run that was interrupted after moving the dataset into place."""
     root = output.root
     require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
     read_back(root)
@@ -189,11 +189,11 @@ def _pictured(source: CollectedDataset, make_env: EnvFactory) -> Manifest:
 
 
 def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: int, fingerprint: str) -> RecordedEpisode:
-    """Returns an episode with the pictures of its rows."""
+    """Returns an episode with images for all its rows."""
     episode = source.episode(number)
     record, joints = episode.record, episode.columns[schema.JOINTS]
     episode.reset(env)
-    # An episode that starts late starts elsewhere than its scene does.
+    # A late start begins in another state than its scene.
     at_start = record["late"] or bool(np.abs(env.joints() - joints[0]).max() <= TOLERANCE)
     if env.camera_parameters() != record["camera"] or not at_start:
         raise DatasetError(

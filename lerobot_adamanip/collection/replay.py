@@ -37,15 +37,15 @@ class ReplayResult:
     """Comparison of a replay with its recording.
 
     Attributes:
-        episode: index in the dataset.
-        object_id: of the object.
-        seed: of the episode.
-        key_frames: recorded.
-        replayed: key frames before the replayed episode ended.
-        differences: column -> largest absolute difference over all key frames, in the column's units.
+        episode: index of the episode in the dataset.
+        object_id: id of the object.
+        seed: seed of the episode.
+        key_frames: number of recorded key frames.
+        replayed: number of key frames until the replay ended.
+        differences: column -> largest absolute difference over all key frames, in units of the column.
         success: of the replay.
         recorded_success: of the recording.
-        changed: parts of the fingerprint that differ between the recording and this program.
+        changed: fingerprint parts that differ between the recording and this program.
     """
 
     episode: int
@@ -78,7 +78,7 @@ def replay(
     Args:
         root: of a dataset of ``adamanip collect``.
         episode: its index.
-        make_env: builds the environment; nothing in the dataset does.
+        make_env: builds the environment; it never comes from the dataset.
         assets: folder of external assets, if any were used.
         video: file for a video of recording (left), if it has pictures, and replay (right); None for no video.
         progress: called with the key frames done, and all.
@@ -189,14 +189,14 @@ def check_replays(
     assets: Path | None = None,
     progress: CheckProgress = lambda stage, done, total: None,
 ) -> Report:
-    """Replays episodes in the simulator; returns findings of kind ``replay``.
+    """Replays episodes in the simulator and returns findings of kind ``replay``.
 
     Args:
         root: of a clean dataset of `adamanip collect`.
         episodes: their indices.
         make_env: builds the environment.
-        tolerance: largest difference in any column, in its own units.
-        assets: folder of external assets, if the dataset was recorded with any.
+        tolerance: largest accepted difference in any column, in units of the column.
+        assets: folder of external assets, if the dataset uses any.
         progress: called with stage ``replay``, episodes done, and all.
     """
     report, chosen = Report(), list(episodes)

@@ -25,7 +25,7 @@ class CategorySummary:
     Attributes:
         episodes: in the dataset.
         attempts: at them.
-        mean_key_frames: of an episode.
+        mean_key_frames: mean length of an episode.
         recorded: episodes, by this run.
         worker_seconds: of this run, all workers together.
     """
@@ -50,15 +50,15 @@ class CollectSummary:
         root: of the dataset; of a part, the folder of its episode files.
         episodes: in the dataset.
         attempted: episodes attempted for the dataset, those of given-up items included.
-        given_up: items without an episode.
+        given_up: number of items without an episode.
         recorded: episodes recorded by this run; the others were there already.
         attempts: episodes attempted by this run.
         seconds: from the start of this run to the finished dataset.
-        recording_seconds: of those, spent recording.
+        recording_seconds: recording time within it.
         success_rate: successes over attempted, of the expert or of the corrected policy.
         bytes: size of the dataset on disk.
-        failures: lines about items that were given up; empty in a complete dataset.
-        categories: by name, in the order of the dataset.
+        failures: one line per given-up item; empty for a complete dataset.
+        categories: by name, in dataset order.
     """
 
     root: str
@@ -88,7 +88,7 @@ class Run:
         begin: time of its start, by `time.monotonic` [s].
         results: of its items.
         recording_seconds: spent recording.
-        failures: lines about items that were given up.
+        failures: one line per given-up item.
     """
 
     begin: float

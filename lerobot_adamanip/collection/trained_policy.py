@@ -23,7 +23,7 @@ def policy_hash(path: Path) -> str:
     """Returns a hash of a checkpoint's weights, configuration and processors, but not of its training or its folder.
 
     Raises:
-        ConfigurationError: there is no checkpoint.
+        ConfigurationError: the checkpoint does not exist.
     """
     made = hashlib.sha256()
     for name in ("config.json", "model.safetensors"):
@@ -42,11 +42,11 @@ def policy_hash(path: Path) -> str:
 
 
 class TrainedPolicy:
-    """Acts as `lerobot-eval` would: the same policy, the same processors, one environment.
+    """Acts as in `lerobot-eval`: same policy, same processors, one environment.
 
     Args:
         path: folder ``pretrained_model`` of a checkpoint.
-        device: of torch.
+        device: PyTorch device.
     """
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
@@ -72,13 +72,13 @@ class TrainedPolicy:
             pipeline.reset()
 
     def act(self, observation: Observation, instruction: str) -> Action:
-        """Returns the (10,) action, and remembers it where the policy has a memory."""
+        """Returns the (10,) action and adds it to the policy's history, if it has one."""
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before(_batch(observation, instruction))))
         return np.asarray(action.squeeze(0).cpu(), np.float32)
 
     def executed(self, action: Action) -> None:
-        """Replaces the latest action in the policy's memory, where it has one."""
+        """Replaces the latest action in the policy's history, if it has one."""
         if hasattr(self._policy, "replace_latest"):
             self._policy.replace_latest(self._normalized(torch.from_numpy(action)[None]))
 

@@ -1,8 +1,8 @@
-"""Objects as data, a generator per category. `lerobot_adamanip.catalog` tells what ids stand for.
+"""Objects as data, with one generator per category. `lerobot_adamanip.catalog` maps ids to objects.
 
-Kind, proportions, colours and layout of an object are drawn from its number alone, so ``safe_007`` is the same
-everywhere. Novel objects have kinds, combinations and proportions that no seen one has; mechanism, joints and parts are
-the category's own. Hidden state is drawn per episode by the mechanism and leaves no trace in the geometry.
+The number of an object alone determines its kind, proportions, colours and layout, so ``safe_007`` is equal everywhere.
+Novel objects have kinds, combinations and proportions outside those of seen ones, but the category's mechanism, joints
+and parts. The mechanism samples the hidden state per episode; it does not show in the geometry.
 """
 
 from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Link, Material, Motion, PartAnnotation, Shape

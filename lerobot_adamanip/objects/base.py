@@ -1,4 +1,4 @@
-"""What an object is: links of simple shapes, joints, and annotated part poses. Pure data, no simulator."""
+"""Object model: links of simple shapes, joints, and annotated part poses. Pure data, no simulator."""
 
 from __future__ import annotations
 
@@ -18,32 +18,32 @@ JointKind = Literal["fixed", "revolute", "prismatic"]
 
 @dataclass(frozen=True)
 class Material:
-    """Surface: linear RGB colour in [0, 1], and the two numbers of a metallic-roughness shader."""
+    """Surface: linear RGB colour in [0, 1], and the parameters of a metallic-roughness shader."""
 
     color: tuple[float, float, float]
     roughness: float = 0.6
     metallic: float = 0.0
 
     def darker(self) -> Material:
-        """Returns the material in half its brightness: seams and lines."""
+        """Returns the material with half its brightness, for seams and lines."""
         red, green, blue = self.color
         return replace(self, color=(0.5 * red, 0.5 * green, 0.5 * blue))
 
 
 @dataclass(frozen=True)
 class Shape:
-    """A visual and, unless told otherwise, collision primitive of a link.
+    """A visual and, by default, collision primitive of a link.
 
     Attributes:
         kind: ``box`` (size = half extents), ``cylinder`` / ``capsule`` (size = radius, half length; the axis is x),
             or ``mesh`` (from ``vertices`` and ``faces``; convex if it collides).
-        size: [m].
-        pose_in_link: (4, 4).
-        material: look.
-        collides: whether it is solid, or decoration only.
+        size: see ``kind`` [m].
+        pose_in_link: (4, 4) pose in the link's frame.
+        material: look of the surface.
+        collides: whether it collides; otherwise it is decoration.
         vertices: (V, 3) [m] for a mesh.
         faces: (F, 3) vertex indices for a mesh.
-        visible: whether it is seen, or stands for what is seen in collisions only.
+        visible: whether it is rendered; otherwise it only collides.
     """
 
     kind: ShapeKind
@@ -58,18 +58,18 @@ class Shape:
 
 @dataclass(frozen=True)
 class Joint:
-    """How a link moves on its parent.
+    """Motion of a link relative to its parent.
 
-    The link's frame sits at its joint's origin, at position zero with axes parallel to the parent's.
+    The link's frame has its origin at the joint; at position zero its axes are parallel to the parent's.
 
     Attributes:
-        name, kind: as mechanisms call it, and its type.
+        name, kind: name in mechanisms, and type.
         axis: (3,) unit vector, parent frame.
         origin: (3,) a point on the axis, parent frame [m].
-        limits: [rad or m].
+        limits: range of positions [rad or m].
         damping: viscous damping [N m s/rad or N s/m].
-        stiffness: of a spring in the joint [N m/rad or N/m]; 0 for none.
-        rest: position at which that spring is slack [rad or m]; outside the limits, it presses the joint against one.
+        stiffness: spring in the joint [N m/rad or N/m]; 0 for none.
+        rest: slack position of the spring [rad or m]; outside the limits, the spring presses the joint against one.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Joint:
 
 @dataclass(frozen=True)
 class Link:
-    """A rigid body: shapes on a joint under a parent (the root has neither)."""
+    """A rigid body: shapes, and a joint to its parent (the root has neither joint nor parent)."""
 
     name: str
     shapes: tuple[Shape, ...]
@@ -95,12 +95,12 @@ class Link:
 
 @dataclass(frozen=True)
 class Motion:
-    """How one joint carries along whatever holds a part.
+    """Motion of a held part by one joint.
 
     Attributes:
         joint, kind: name and type.
-        point: (3,) a point on the axis [m]; of no account if prismatic.
-        axis: (3,) unit vector; a positive position turns about it by the right-hand rule, or slides along it.
+        point: (3,) a point on the axis [m]; ignored if prismatic.
+        axis: (3,) unit vector; positive positions turn about it by the right-hand rule, or slide along it.
     """
 
     joint: str
@@ -109,7 +109,7 @@ class Motion:
     axis: NDArray[np.float64]
 
     def applied(self, pose: Pose, position: float) -> Pose:
-        """Returns where ``pose`` (4, 4) gets to when the joint moves by ``position`` [rad or m]."""
+        """Returns ``pose`` (4, 4) after the joint has moved by ``position`` [rad or m]."""
         if self.kind == "revolute":
             return rotated_about_line(pose, self.point, self.axis, position)
         moved = pose.copy()
@@ -117,43 +117,43 @@ class Motion:
         return moved
 
     def followed(self, before: Pose, now: Pose) -> float:
-        """Returns how far the joint has moved [rad or m], by two poses (4, 4) of a hand that held on."""
+        """Returns the joint's motion [rad or m] between two poses (4, 4) of a hand that kept its grip."""
         if self.kind == "prismatic":
             return float(self.axis @ (now[:3, 3] - before[:3, 3]))
         first, second = before[:3, 3] - self.point, now[:3, 3] - self.point
         if np.linalg.norm(np.cross(self.axis, first)) < ON_AXIS:
-            # A hand on the axis stays where it is: it is its own rotation that tells.
+            # A hand on the axis does not translate, so its rotation is compared.
             square = before[:3, int(np.argmin(np.abs(self.axis @ before[:3, :3])))]
             first, second = square, now[:3, :3] @ before[:3, :3].T @ square
         along = (self.axis @ first) * (self.axis @ second)
         return float(np.arctan2(self.axis @ np.cross(first, second), first @ second - along))
 
     def in_frame(self, frame: Pose) -> Motion:
-        """Returns this motion expressed in the frame in which ``frame`` (4, 4) is its present frame's pose."""
+        """Returns this motion in a new frame, given by its pose ``frame`` (4, 4) in the present one."""
         point, axis = frame[:3, :3] @ self.point + frame[:3, 3], frame[:3, :3] @ self.axis
         return replace(self, point=point, axis=axis)
 
 
 ON_AXIS = 0.02
-"""A grasp closer than this to an axis turns with it in place [m]."""
+"""Distance to an axis below which a grasp only rotates [m]."""
 TWO_FINGERS = (0.0, np.pi)
-"""Rolls about the approach that are the same grasp for a gripper with two equal fingers [rad]."""
+"""Equivalent rolls about the approach for a gripper with two equal fingers [rad]."""
 
 
 def any_roll() -> tuple[float, ...]:
-    """Rolls of a grasp on something round, held the same from every side [rad]."""
+    """Returns the rolls of a grasp on a round part, which is held equally from every side [rad]."""
     return tuple(2 * np.pi * np.arange(8) / 8)
 
 
 @dataclass(frozen=True)
 class PartAnnotation:
-    """The annotated pose of a part a robot can hold: the paper's part pose, as a grasp (appendix "Pose Annotation").
+    """Annotated pose of a graspable part: the paper's part pose, as a grasp (appendix "Pose Annotation").
 
     Attributes:
-        name: part, ``handle`` or ``knob``.
-        grasp: (4, 4) tool pose when holding it: z is the approach direction, y the direction the fingers close in.
-        motions: of the joints that carry the part, root first. All joints are at zero in ``grasp``.
-        rolls: turns about the approach that make equally good grasps [rad].
+        name: part name, ``handle`` or ``knob``.
+        grasp: (4, 4) tool pose of the grasp: z is the approach direction, y the closing direction of the fingers.
+        motions: motions of the joints that carry the part, root first. In ``grasp`` all joints are at zero.
+        rolls: rotations about the approach with equally good grasps [rad].
     """
 
     name: str
@@ -162,41 +162,41 @@ class PartAnnotation:
     rolls: tuple[float, ...] = TWO_FINGERS
 
     def moved(self, positions: Mapping[str, float]) -> Pose:
-        """Returns the (4, 4) grasp with the named joints at these positions [rad or m], the others at zero."""
+        """Returns the (4, 4) grasp at these joint positions [rad or m]; other joints are at zero."""
         pose = self.grasp
         for motion in reversed(self.motions):
             pose = motion.applied(pose, positions.get(motion.joint, 0.0))
         return pose
 
     def motion(self, joint: str) -> Motion:
-        """Returns how a joint carries the part; KeyError that lists the joints if it does not."""
+        """Returns the part's motion by a joint; raises KeyError that lists the joints if this one does not carry it."""
         for motion in self.motions:
             if motion.joint == joint:
                 return motion
         raise KeyError(f"{self.name} does not move with {joint!r}; with {[motion.joint for motion in self.motions]}")
 
     def rolled(self, angle: float) -> PartAnnotation:
-        """Returns the annotation with the grasp turned by ``angle`` [rad] about its approach."""
+        """Returns the annotation with the grasp rotated by ``angle`` [rad] about its approach."""
         return replace(self, grasp=self.grasp @ transform(rotation=rotation_about((0.0, 0.0, 1.0), angle)))
 
     def in_frame(self, frame: Pose) -> PartAnnotation:
-        """Returns this annotation expressed in the frame in which ``frame`` (4, 4) is its present frame's pose."""
+        """Returns this annotation in a new frame, given by its pose ``frame`` (4, 4) in the present one."""
         motions = tuple(motion.in_frame(frame) for motion in self.motions)
         return replace(self, grasp=frame @ self.grasp, motions=motions)
 
 
 @dataclass(frozen=True)
 class ArticulatedObject:
-    """One object. Its frame: on the floor under the middle of its front, x out of the front, z up [m].
+    """An object. Its frame: origin on the floor below the middle of the front, x out of the front, z up [m].
 
     Attributes:
         object_id: ``safe_007``.
         category: ``safe``.
         links: root first, parents before children.
-        parts: annotations in the object frame, joints at zero.
+        parts: annotations in the object frame, with joints at zero.
         size: (width, depth, height) of the bounding box [m].
-        description: the drawn parameters, for labels and cards.
-        weightless: whether gravity leaves its links alone, as upstream has it: external assets state no springs.
+        description: sampled parameters, for labels and cards.
+        weightless: whether its links ignore gravity, as upstream; true for external assets, which have no springs.
     """
 
     object_id: str
@@ -208,7 +208,7 @@ class ArticulatedObject:
     weightless: bool = False
 
     def part(self, name: str) -> PartAnnotation:
-        """Returns the annotation of a part; KeyError that lists the parts if there is none of that name."""
+        """Returns the annotation of a part; raises KeyError that lists the parts if it does not exist."""
         for part in self.parts:
             if part.name == name:
                 return part
@@ -225,10 +225,10 @@ def annotate(
     """Returns the annotation of a part.
 
     Args:
-        links: of the object, parents before children.
-        link: that the part belongs to; the joints between it and the root carry the part.
-        name: of the part.
-        grasp: (4, 4) object frame, joints at zero.
+        links: links of the object, parents before children.
+        link: link of the part; the joints between it and the root carry the part.
+        name: name of the part.
+        grasp: (4, 4) in the object frame, with joints at zero.
         rolls: see `PartAnnotation`.
     """
     chain, by_name = [], {each.name: each for each in links}
@@ -250,7 +250,7 @@ def annotate(
 def from_above(position: ArrayLike, roll: float = 0.0) -> Pose:
     """Returns a grasp at ``position`` that approaches straight down (along -z), fingers closing along the object's y.
 
-    ``roll`` [rad] turns the fingers about the approach.
+    ``roll`` [rad] rotates the fingers about the approach.
     """
     columns = np.array([[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, -1.0]])
     return transform(position, columns @ rotation_about((0.0, 0.0, 1.0), roll))
@@ -259,16 +259,16 @@ def from_above(position: ArrayLike, roll: float = 0.0) -> Pose:
 def facing(position: ArrayLike, roll: float = 0.0) -> Pose:
     """Returns a grasp at ``position`` that approaches the front of an object (along its -x), fingers closing along y.
 
-    ``roll`` [rad] turns the fingers about the approach.
+    ``roll`` [rad] rotates the fingers about the approach.
     """
     columns = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     return transform(position, rotation_about((1.0, 0.0, 0.0), roll) @ columns)
 
 
 def kind_of(number: int, kinds: Sequence[str], stream: int) -> str:
-    """Returns the kind of object ``number``; ``stream`` tells one category's draw from another's.
+    """Returns the kind of object ``number``; ``stream`` separates the random numbers of categories.
 
-    Every kind comes once in each run of numbers, in an order of that run's own: none is missing among the seen ones.
+    Each block of consecutive numbers contains every kind once, in a random order, so the seen split has all kinds.
     """
     order = np.random.default_rng([number // len(kinds), stream]).permutation(len(kinds))
     return kinds[int(order[number % len(kinds)])]

@@ -1,7 +1,7 @@
 """Doors: a leaf in a piece of wall, with a lever, knob or bar that turns before it opens.
 
-Sizes follow narrow real doors (cabins, closets, lockers, utility cupboards: 36 to 43 cm by 84 to 108 cm), which an arm
-on a table can swing.
+Sizes follow narrow real doors (cabins, closets, lockers, utility cupboards: 36 to 43 cm by 84 to 108 cm), which a
+table-mounted arm can swing.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ NOVEL_COLORS = ((0.62, 0.22, 0.34), (0.24, 0.10, 0.34), (0.62, 0.60, 0.16), (0.0
 
 @dataclass(frozen=True, kw_only=True)
 class DoorDesign:
-    """The parameters of one door [m]. Positions on the leaf: u from its hinge edge, v from its lower edge."""
+    """Parameters of one door [m]. Positions on the leaf: u from its hinge edge, v from its lower edge."""
 
     hinge_side: int = either_side()
     color: NDArray[np.float64] = shaded(_LEAF_COLORS, 0.85, 1.15)
@@ -60,7 +60,7 @@ class DoorDesign:
         lambda rng, d: Material(_WHITE if rng.random() < 0.55 else tuple(np.clip(0.8 * d.color, 0.02, 0.8)), 0.6)
     )
     plan: LeafPlan = computed(lambda rng, d: _draw_plan(rng, d.color))
-    # A lever at rest points to the hinges, as levers do, or hangs down, as on a cabin or a container.
+    # A lever at rest points to the hinges, or hangs down, as on a cabin or container.
     rest: float = computed(lambda rng, d: -d.hinge_side * np.pi / 2 * (-1 if rng.random() < 0.8 else 0))
     handle: HandleDesign = computed(lambda rng, d: draw_handle(rng, HANDLE_STYLES, d.rest, METALS))
     backset: float = uniform(0.042, 0.050)
@@ -98,7 +98,7 @@ def _draw_plan(rng: np.random.Generator, color: NDArray[np.float64]) -> LeafPlan
 
 
 def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
-    """Draws a door narrower and lower, or wider and taller, than any seen one, leaf and handle in new styles."""
+    """Samples a door narrower and lower, or wider and taller, than all seen ones, with new leaf and handle styles."""
     base = draw(DoorDesign, rng)
     small = rng.random() < 0.5
     color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.85, 1.1)
@@ -110,7 +110,7 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
         style=str(rng.choice(NOVEL_STYLES)),
         paint=Material(tuple(np.clip(color, 0.02, 0.85)), base.plan.paint.roughness),
     )
-    # A lever that stands up at rest, or points to the hinges: never down.
+    # At rest the lever points up or to the hinges, never down.
     rest = np.pi if rng.random() < 0.5 else base.hinge_side * np.pi / 2
     handle = draw_handle(rng, NOVEL_HANDLE_STYLES, rest, METALS)
     return replace(
@@ -124,9 +124,9 @@ def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
 
 
 def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
-    """Builds the links and annotation of a design: joints ``leaf`` and ``lever``, part ``lever``."""
+    """Builds links and annotation of a design: joints ``leaf`` and ``lever``, part ``lever``."""
     plan, side = design.plan, design.hinge_side
-    # The opening sits off the wall's middle, towards the hinges: its handle edge is then nearer to the middle.
+    # The opening is shifted towards the hinges, so that its handle edge is nearer to the wall's middle.
     half = plan.width / 2 + GAP
     surround = Surround(
         width=2 * (half + design.casing + design.wall_side + design.shift),
@@ -161,13 +161,13 @@ def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
 
 
 def _frame_shapes(design: DoorDesign, surround: Surround, hinge_y: float) -> tuple[Shape, ...]:
-    """Wall and casing; a threshold that fills the gap under the leaf; hinges; a skirting on plastered walls."""
+    """Returns wall, casing, a threshold below the leaf, hinges, and a skirting on plastered walls."""
     middle, half = (surround.left + surround.right) / 2, (surround.right - surround.left) / 2
     stone = Material((0.30, 0.29, 0.28), 0.8)
     depth = design.depth / 2 + 0.012
     shapes = surround.shapes()
     shapes.append(chamfered_box((-design.depth / 2 + 0.012, middle, 0.009), (depth, half, 0.009), 0.003, stone))
-    # A stop behind the leaf, at its head: what it closes against.
+    # Stop behind the leaf, at its head; the leaf closes against it.
     head = (-THICKNESS - 0.012, middle, surround.top - 0.010)
     shapes.append(mark(head, (0.008, half, 0.008), design.trim))
     height = design.plan.height
@@ -182,7 +182,7 @@ def _frame_shapes(design: DoorDesign, surround: Surround, hinge_y: float) -> tup
 
 
 def _furniture(design: DoorDesign) -> tuple[Shape, ...]:
-    """The handle's plate and keyhole, and what else is screwed to a door; thin, and no hand comes near it."""
+    """Returns plate and keyhole of the handle and other thin decoration, out of the hand's way."""
     y, z = design.pivot
     plate = plate_shapes(design.handle, y, z, half_width=0.023, half_length=0.105, keyhole=design.keyhole)
     return plate + _extra(design)

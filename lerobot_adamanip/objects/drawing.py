@@ -1,4 +1,4 @@
-"""Designs that are drawn: each field of a dataclass says from what, and fields are drawn in the order they stand in."""
+"""Random designs: dataclass fields that declare their distribution, sampled in field order."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from lerobot_adamanip.objects.base import ArticulatedObject
 
 
 def draw[Design](design: Callable[..., Design], rng: np.random.Generator) -> Design:
-    """Draws the fields of a dataclass."""
+    """Samples the fields of a dataclass."""
     values = SimpleNamespace()
     for each in fields(design):  # type: ignore[arg-type]
         setattr(values, each.name, each.metadata["draw"](rng, values))
@@ -21,32 +21,32 @@ def draw[Design](design: Callable[..., Design], rng: np.random.Generator) -> Des
 
 
 def computed(draw_value: Callable[[np.random.Generator, Any], object]) -> Any:
-    """A field drawn by a function of the generator and of the fields above, which it has as attributes."""
+    """Field computed from the generator and from the fields above it (as attributes)."""
     return field(metadata={"draw": draw_value})
 
 
 def uniform(low: float, high: float) -> Any:
-    """A number from a range."""
+    """Uniformly sampled number."""
     return computed(lambda rng, _: rng.uniform(low, high))
 
 
 def chosen(words: Sequence[str], p: Sequence[float] | None = None) -> Any:
-    """A word, with probabilities ``p`` if they differ."""
+    """Sampled word, with probabilities ``p`` (default: equal)."""
     return computed(lambda rng, _: str(rng.choice(words, p=p)))
 
 
 def picked(values: Sequence[object]) -> Any:
-    """One of some values that are no words."""
+    """Sampled element of values that are not words."""
     return computed(lambda rng, _: values[int(rng.integers(len(values)))])
 
 
 def shaded(colors: Sequence[Sequence[float]], low: float, high: float) -> Any:
-    """One of some colours (3,), times a brightness from a range."""
+    """Sampled colour (3,), multiplied by a sampled brightness."""
     return computed(lambda rng, _: np.asarray(colors[int(rng.integers(len(colors)))]) * rng.uniform(low, high))
 
 
 def chance(share: float) -> Any:
-    """True with this probability."""
+    """True with the given probability."""
     return computed(lambda rng, _: bool(rng.random() < share))
 
 
@@ -62,9 +62,9 @@ def makers[Design](
     draw_novel: Callable[[np.random.Generator], Design],
     build: Callable[[str, Design], ArticulatedObject],
 ) -> tuple[Callable[[int], ArticulatedObject], Callable[[int], ArticulatedObject]]:
-    """Returns what builds a category's objects by number: the seen and unseen ones, and the novel ones.
+    """Returns the builders of a category's objects by number: seen and unseen ones, and novel ones.
 
-    They are drawn by a generator that is seeded by the number and by ``stream``, the category's own.
+    Their generator is seeded with the number and with ``stream``, the category's own constant.
     """
 
     def make(number: int) -> ArticulatedObject:

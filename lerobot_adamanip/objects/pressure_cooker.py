@@ -1,6 +1,6 @@
-"""Pressure cookers: a pot, a domed lid with a valve, and two long handles over each other. Sizes of 3 to 8 litre pots.
+"""Pressure cookers: a pot, a domed lid with a valve, and two long handles, one above the other. Sizes: 3 to 8 litres.
 
-The lid's handle stands over the pot's, as on a closed cooker, and turns either way before the lid can be lifted off.
+The lid's handle is above the pot's, as on a closed cooker, and turns in either direction before the lid can be lifted.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark, r
 LID_RANGE = 0.824
 """Nominal turn of the lid to either side [rad] (paper code)."""
 LIFT_UPPER = 0.05
-"""How far the lid lifts [m] (paper code)."""
+"""Lift travel of the lid [m] (paper code)."""
 GAP = 0.0015
-"""Between the pot's rim and what turns on it [m]."""
+"""Gap between the pot's rim and the turning lid [m]."""
 LOOP_DEPTH = 0.045
 HANDLE_GAP = 0.010
-"""Between the two handles [m]: fingertips reach 1 cm below the tool point and must not scrape the lower one."""
+"""Gap between the handles [m]: fingertips reach 1 cm below the tool point and must not touch the lower handle."""
 _STEELS = (
     Material((0.80, 0.81, 0.83), 0.25, 0.7), Material((0.66, 0.67, 0.69), 0.32, 0.75),
     Material((0.76, 0.75, 0.72), 0.42, 0.7),
@@ -53,7 +53,7 @@ NOVEL_COLORS = ((0.02, 0.30, 0.34), (0.55, 0.30, 0.42), (0.36, 0.17, 0.06), (0.5
 
 @dataclass(frozen=True, kw_only=True)
 class PressureCookerDesign:
-    """The parameters of one cooker [m]. The grip is far enough out for a hand to clear the dome."""
+    """Parameters of one cooker [m]. The grip is far enough out for the hand to clear the dome."""
 
     radius: float = uniform(0.092, 0.124)
     handle_reach: float = uniform(0.066, 0.078)
@@ -79,7 +79,7 @@ class PressureCookerDesign:
 
     @property
     def axis_x(self) -> float:
-        """Where the pot's axis is: a radius behind its front [m]."""
+        """Distance of the pot's axis behind its front [m]: one radius."""
         return -self.radius
 
     @property
@@ -89,7 +89,7 @@ class PressureCookerDesign:
 
 
 def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
-    """Draws a cooker wider and lower, or slimmer and taller, than any seen one, in new styles all over."""
+    """Samples a cooker wider and lower, or slimmer and taller, than all seen ones, in new styles."""
     base = draw(PressureCookerDesign, rng)
     wide = rng.random() < 0.5
     radius = rng.uniform(0.126, 0.134) if wide else rng.uniform(0.082, 0.090)
@@ -109,9 +109,9 @@ def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
 
 
 def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> ArticulatedObject:
-    """Builds the links and the annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
+    """Builds links and annotation of a design: joints ``lift`` and ``lid``, part ``handle`` (the lid's)."""
     rim, up = (design.axis_x, 0.0, design.height), (0.0, 0.0, 1.0)
-    # An arm reaching down gives by half a millimetre per newton: a lid of sheet aluminium, as light as real ones are.
+    # A lid of sheet aluminium, as light as a real one: an arm that reaches down yields half a millimetre per newton.
     lift = Joint("lift", "prismatic", up, rim, (0.0, LIFT_UPPER), damping=8.0)
     lid = Joint("lid", "revolute", up, (0.0, 0.0, 0.0), (-LID_RANGE, LID_RANGE), damping=0.15)
     links = (
@@ -132,7 +132,7 @@ def build_pressure_cooker(object_id: str, design: PressureCookerDesign) -> Artic
 
 
 def pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
-    """The pot with its handle and helper loop."""
+    """Returns the pot with its handle and helper loop."""
     r, h, axis = design.radius, design.height, (design.axis_x, 0.0, 0.0)
     outlines = {
         "straight": [(r - 0.006, 0.004), (r, 0.012), (r, h)],
@@ -161,7 +161,7 @@ def pot_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
 
 
 def _pot_handle_shapes(design: PressureCookerDesign) -> list[Shape]:
-    """The lower handle, a shade thicker than the lid's, on a bracket below the rim."""
+    """Returns the lower handle, slightly thicker than the lid's, on a bracket below the rim."""
     half_width, half_height = design.handle_half[0] + 0.001, design.handle_half[1] + 0.002
     z = design.handle_z - design.handle_half[1] - HANDLE_GAP - half_height
     length = design.handle_length - 0.004
@@ -183,7 +183,7 @@ def _loop_shapes(design: PressureCookerDesign) -> list[Shape]:
 
 
 def seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
-    """The gasket under the lid: it lifts with the lid and does not turn."""
+    """Returns the gasket under the lid: it lifts with the lid but does not turn."""
     rubber = Material((0.30, 0.30, 0.31), 0.9)
     r = 0.93 * design.radius
     profile = [(r - 0.004, -0.006), (r, -0.003), (r, 0.0008)]
@@ -191,7 +191,7 @@ def seal_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
 
 
 def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
-    """The lid about its axis, z from the rim."""
+    """Returns the lid about its axis, z from the rim."""
     r, rise, edge = design.radius + 0.004, design.lid_rise, 0.011
     outlines = {
         "dome": [(r, edge)] + [(r * np.sin(a), edge + (rise - edge) * np.cos(a)) for a in np.linspace(1.25, 0.12, 6)],
@@ -204,7 +204,7 @@ def lid_shapes(design: PressureCookerDesign) -> tuple[Shape, ...]:
     outline = outlines[design.lid_style]
     top = outline[-1][1]
     shapes = [
-        # What is seen reaches down over the rim; what collides stays above it.
+        # The visible shape covers the rim; the collision shape stays above it.
         revolved((0, 0, 0), [(r, -0.010), *outline], design.lid, sides=SMOOTH, collides=False),
         upright((0, 0, (GAP + edge) / 2), r, (edge - GAP) / 2, design.lid),
         revolved((0, 0, 0), [(0.97 * r, edge), *((0.98 * a, b - 0.001) for a, b in outline[1:])], design.lid, sides=20),
@@ -255,7 +255,7 @@ def _valve_shapes(design: PressureCookerDesign, top: float) -> list[Shape]:
 
 
 def _lid_handle_shapes(design: PressureCookerDesign, edge: float, top: float) -> list[Shape]:
-    """The upper handle: a bracket on the dome and the grip beyond the rim."""
+    """Returns the upper handle: a bracket on the dome, and the grip beyond the rim."""
     r, z = design.radius, design.handle_z - design.height
     half_width, half_height = design.handle_half
     shapes = _grip_shapes(design, (r + 0.007, r + design.handle_length), z, design.handle_half)
@@ -274,7 +274,7 @@ def _eyelet(design: PressureCookerDesign, end: float, z: float) -> Shape:  # the
 def _grip_shapes(
     design: PressureCookerDesign, ends: tuple[float, float], z: float, half: tuple[float, float], droop: float = 0.0
 ) -> list[Shape]:
-    """A handle along x between two ``ends``: parallel sides where fingers close, shape where they do not."""
+    """Returns a handle along x between two ``ends``, with parallel sides at the grip."""
     (start, end), (w, h), plastic = ends, half, design.plastic
     tail, low = end - 0.022, z - droop
     if design.handle_style == "straight":

@@ -20,9 +20,9 @@ GAP = 0.003
 DOOR_UPPER = 1.578
 """Opening limit of the door [rad] (paper code: 1.578)."""
 GRASP_REACH = 0.052
-"""Distance of a grip from the door [m]: room for the hand's body in front of whatever else sticks out."""
+"""Distance of a grip from the door [m]; leaves space for the hand in front of other protruding parts."""
 MIN_PART_DISTANCE = 0.125
-"""Handle to knob [m], so that open fingers around one clear the other."""
+"""Minimum distance between handle and knob [m], so that open fingers around one do not touch the other."""
 
 _BODY_COLORS = (
     (0.05, 0.055, 0.06), (0.11, 0.12, 0.13), (0.28, 0.30, 0.31), (0.55, 0.53, 0.48), (0.06, 0.11, 0.09),
@@ -36,7 +36,7 @@ HANDLE_STYLES = ("round bar", "flat bar", "arch")
 KNOB_STYLES = ("thumb turn", "octagon", "pointer")
 PANEL_STYLES = ("keypad", "dial", "plate")
 LAYOUT: tuple[Range, ...] = ((0.66, 0.80), (0.38, 0.60), (0.30, 0.62), (0.32, 0.74))
-"""Where the handle's u and v, and the knob's, are drawn from."""
+"""Ranges of u and v, for the handle and for the knob."""
 NOVEL_LAYOUT: tuple[Range, ...] = ((0.66, 0.80), (0.30, 0.62), (0.30, 0.66), (0.24, 0.76))
 NOVEL_HANDLE_STYLES = ("fin", "ball bar")
 NOVEL_KNOB_STYLES = ("hexagon", "cross")
@@ -45,9 +45,9 @@ NOVEL_COLORS = ((0.62, 0.30, 0.05), (0.02, 0.28, 0.30), (0.44, 0.20, 0.34), (0.7
 
 @dataclass(frozen=True, kw_only=True)
 class SafeDesign:
-    """The parameters of one safe [m, rad].
+    """Parameters of one safe [m, rad].
 
-    ``layout``: of handle and knob on the door, u from the hinge, v from the bottom, as fractions.
+    ``layout``: positions of handle and knob on the door, u from the hinge, v from the bottom, as fractions.
     """
 
     width: float = uniform(0.34, 0.46)
@@ -85,14 +85,14 @@ class SafeDesign:
         return self.height - 2 * WALL - 2 * GAP
 
     def on_door(self, uv: Range) -> Range:
-        """Returns (y, z) in the door link's frame: y away from the hinge carries the sign of the opening side."""
+        """Returns (y, z) in the door link's frame; the sign of y depends on the hinge side."""
         return -self.hinge_side * uv[0] * self.door_width, (uv[1] - 0.5) * self.door_height
 
 
 def _draw_layout(
     rng: np.random.Generator, width: float, height: float, ranges: Sequence[Range], apart: float
 ) -> tuple[Range, Range]:
-    """Returns (u, v) of handle and knob on a door of this size, no nearer to each other than ``apart`` [m]."""
+    """Returns (u, v) of handle and knob on a door of this size, at least ``apart`` [m] from each other."""
     while True:
         handle_u, handle_v, knob_u, knob_v = (rng.uniform(*each) for each in ranges)
         if np.hypot((handle_u - knob_u) * width, (handle_v - knob_v) * height) >= apart:
@@ -100,7 +100,7 @@ def _draw_layout(
 
 
 def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
-    """Draws a safe narrower and taller, or wider and lower, than any seen one, handle and knob in new styles."""
+    """Samples a safe narrower and taller, or wider and lower, than all seen ones, with new handle and knob styles."""
     base = draw(SafeDesign, rng)
     tall = rng.random() < 0.5
     width = rng.uniform(0.29, 0.33) if tall else rng.uniform(0.47, 0.50)
@@ -122,7 +122,7 @@ def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
 
 
 def build_safe(object_id: str, design: SafeDesign) -> ArticulatedObject:
-    """Builds the links and annotations of a design: joints ``door`` and ``knob``, parts ``handle`` and ``knob``."""
+    """Builds links and annotations of a design: joints ``door`` and ``knob``, parts ``handle`` and ``knob``."""
     foot = 0.015 if design.feet else 0.0
     origin = np.asarray((0.0, design.hinge_side * (design.width / 2 - WALL), foot + design.height / 2))
     links = _links(design, foot, origin)
@@ -144,7 +144,7 @@ def _links(design: SafeDesign, foot: float, hinge: NDArray[np.float64]) -> tuple
     knob_y, knob_z = design.on_door(design.layout[1])
     turn = (-design.knob_range, design.knob_range)
     door = Joint("door", "revolute", door_axis, door_origin, (0.0, DOOR_UPPER), damping=1.0)
-    # Positive turns clockwise as seen by who stands in front: about -x, into the door.
+    # Positive is clockwise, seen from the front: about -x, into the door.
     knob = Joint("knob", "revolute", (-1.0, 0.0, 0.0), (0.0, knob_y, knob_z), turn, damping=0.02)
     door_shapes = _door_shapes(design) + _handle_shapes(design, *design.on_door(design.layout[0]))
     return (
@@ -195,7 +195,7 @@ def _door_shapes(design: SafeDesign) -> tuple[Shape, ...]:
 
 
 def _panel_shapes(design: SafeDesign) -> tuple[Shape, ...]:
-    """Decoration in the door's upper hinge-side corner, where a hand at handle or knob does not come."""
+    """Returns decoration in the door's upper corner on the hinge side, out of the hand's way."""
     y, z = design.on_door((0.17, 0.86))
     black = Material((0.015, 0.015, 0.018), 0.35)
     if design.panel_style == "plate":
@@ -233,7 +233,7 @@ def _handle_shapes(design: SafeDesign, y: float, z: float) -> tuple[Shape, ...]:
 
 
 def _knob_shapes(design: SafeDesign) -> tuple[Shape, ...]:
-    """Knob in its own frame: x out of the door, grip square to y so that fingers close on flat faces."""
+    """Returns the knob in its own frame: x out of the door, grip perpendicular to y for flat finger contact."""
     style, radius, metal, tip = design.knob_style, design.knob_radius, design.metal, GRASP_REACH + 0.012
     dark, white = Material((0.04, 0.04, 0.045), 0.4), Material((0.9, 0.9, 0.88), 0.5)
     if style == "octagon":

@@ -45,16 +45,16 @@ NOVEL_COLORS = ((0.62, 0.30, 0.06), (0.34, 0.10, 0.30), (0.56, 0.54, 0.12), (0.0
 
 @dataclass(frozen=True, kw_only=True)
 class WindowDesign:
-    """The parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
+    """Parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
 
     Attributes:
-        width, height: of the sash, whose members are ``stile`` wide.
+        width, height: of the sash; ``stile`` is the width of its members.
         hinge_side: +1 if hinged at +y.
-        light: width of a side light, or height of a transom; ``mullion`` is what parts it from the sash.
-        bars: upright and level glazing bars.
-        shift: of the opening off the wall's middle, towards the hinges.
+        light: width of a side light, or height of a transom; ``mullion`` is the width of the divider to the sash.
+        bars: numbers of vertical and horizontal glazing bars.
+        shift: offset of the opening from the wall's middle, towards the hinges.
         casing: width of the outer frame.
-        sill: how far it stands out.
+        sill: protrusion of the sill.
     """
 
     finish: str = chosen(FINISHES, p=(0.55, 0.2, 0.25))
@@ -89,25 +89,25 @@ class WindowDesign:
 
     @property
     def bottom(self) -> float:
-        """Lower edge of the opening above the floor."""
+        """Height of the opening's lower edge above the floor."""
         return self.wall_below + self.casing
 
     def opening(self) -> tuple[float, float, float]:
-        """Returns left and right (y) and top (z) of the opening, any fixed light included."""
+        """Returns left and right (y) and top (z) of the opening, including any fixed light."""
         half = self.width / 2 + GAP
         middle, top = self.hinge_side * self.shift, self.bottom + self.height + 2 * GAP
         left, right = middle - half, middle + half
         if self.layout == "transom":
             top += self.mullion + self.light
         elif self.layout == "side light":
-            # Beyond the hinges: the handle then stays near the wall's middle.
+            # On the hinge side, so that the handle stays near the wall's middle.
             extra = self.hinge_side * (self.mullion + self.light)
             left, right = left + min(extra, 0.0), right + max(extra, 0.0)
         return left, right, top
 
 
 def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
-    """Draws a window narrower and taller, or wider and lower, than any seen one, bars and handle in new styles."""
+    """Samples a window narrower and taller, or wider and lower, than all seen ones, with new bar and handle styles."""
     base = draw(WindowDesign, rng)
     tall = rng.random() < 0.5
     height = rng.uniform(0.54, 0.62) if tall else rng.uniform(0.29, 0.34)
@@ -124,7 +124,7 @@ def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
 
 
 def build_window(object_id: str, design: WindowDesign) -> ArticulatedObject:
-    """Builds the links and annotation of a design: joints ``sash`` and ``handle``, part ``handle``."""
+    """Builds links and annotation of a design: joints ``sash`` and ``handle``, part ``handle``."""
     side = design.hinge_side
     surround = _surround(design)
     hinge = np.array([0.0, side * (design.shift + design.width / 2 + GAP), design.bottom + GAP])
@@ -167,7 +167,7 @@ def _surround(design: WindowDesign) -> Surround:
 
 
 def _frame_shapes(design: WindowDesign, surround: Surround, hinge_y: float) -> tuple[Shape, ...]:
-    """Wall and frame; a sill board under them; the fixed light, if there is one; hinges."""
+    """Returns wall, frame, sill board, hinges, and the fixed light, if there is one."""
     middle, half = (surround.left + surround.right) / 2, (surround.right - surround.left) / 2
     shapes = surround.shapes()
     depth = (design.sill + 0.05) / 2
@@ -182,7 +182,7 @@ def _frame_shapes(design: WindowDesign, surround: Surround, hinge_y: float) -> t
 
 
 def _fixed_light(design: WindowDesign, surround: Surround, hinge_y: float) -> list[Shape]:
-    """The pane that does not open, and the mullion or transom before it."""
+    """Returns the fixed pane, and the mullion or transom in front of it."""
     x, half = -THICKNESS / 2 + 0.004, THICKNESS / 2 + 0.004
     low, high, bar = surround.bottom, surround.top, design.mullion / 2
     if design.layout == "transom":
@@ -202,7 +202,7 @@ def _pane(area: Field, design: WindowDesign, bars: tuple[int, int]) -> list[Shap
 
 
 def _sash_shapes(design: WindowDesign) -> tuple[Shape, ...]:
-    """Two stiles, two rails, and the pane between them."""
+    """Returns two stiles, two rails, and the pane between them."""
     w, h, s, half = design.width, design.height, design.stile, THICKNESS / 2
     members: tuple[Field, ...] = ((0, s, 0, h), (w - s, w, 0, h), (s, w - s, 0, s), (s, w - s, h - s, h))
     shapes = []

@@ -1,1 +1,1 @@
-"""Errors, files, JSON, worker processes and fingerprints: nothing here knows robots."""
+"""Errors, files, JSON, worker processes and fingerprints; independent of robots."""

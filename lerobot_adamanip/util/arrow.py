@@ -1,4 +1,4 @@
-"""Columns of Arrow tables as numpy arrays, without Python lists between."""
+"""Conversion of Arrow columns to numpy arrays without Python lists."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 
 def numeric_array(column: pa.Array | pa.ChunkedArray) -> NDArray[Any] | None:
-    """Returns a column as (rows, ...) numpy; None for text, nulls and ragged lists."""
+    """Returns a column as a (rows, ...) numpy array; None for text, nulls and ragged lists."""
     chunk = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
     shape = [len(chunk)]
     while True:
@@ -37,7 +37,7 @@ def _is_list(kind: pa.DataType) -> bool:
 
 
 def episode_bounds(episode: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Returns the first and the last row (R,) of each row's episode, from the episode numbers (R,) of ordered rows."""
+    """Returns the first and the last row (R,) of each row's episode; rows must be ordered by ``episode`` (R,)."""
     starts = np.flatnonzero(np.diff(episode, prepend=-1))
     ends = np.append(starts[1:], len(episode))
     lengths = ends - starts

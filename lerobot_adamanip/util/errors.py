@@ -10,7 +10,7 @@ MOST_LISTED = 10
 """Items that a message lists at most."""
 
 GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
-"""How a machine gets a Vulkan device."""
+"""How to get a Vulkan device."""
 
 
 class AdaManipError(Exception):
@@ -18,9 +18,9 @@ class AdaManipError(Exception):
 
     Args:
         what: what is wrong, one sentence; alone, the whole message.
-        got: what was given.
-        allowed: what is allowed instead.
-        hint: what to try.
+        got: given value.
+        allowed: allowed values.
+        hint: command or keyword to try.
     """
 
     def __init__(self, what: str, *, got: object = None, allowed: object = None, hint: object = None) -> None:
@@ -30,23 +30,23 @@ class AdaManipError(Exception):
 
 
 class ConfigurationError(AdaManipError, ValueError):
-    """An argument or an option has a value that cannot work."""
+    """Invalid value of an argument or option."""
 
 
 class DatasetError(AdaManipError, RuntimeError):
-    """A dataset is missing, half written, or of another layout than asked for."""
+    """Missing, incomplete or unexpected dataset."""
 
 
 class SimulatorError(AdaManipError, RuntimeError):
-    """The simulator cannot run here: packages missing, or no Vulkan device to render with."""
+    """Simulator not usable: missing packages, or no Vulkan device for rendering."""
 
 
 class RobotError(AdaManipError, RuntimeError):
-    """The arm, its connection, a camera or a teleoperator does not do what it should; the arm was stopped."""
+    """Failure of the arm, its connection, a camera or a teleoperator; the arm was stopped."""
 
 
 class UnreachableError(AdaManipError, RuntimeError):
-    """No layout or pose within the arm's reach was found."""
+    """No layout or pose within the arm's reach."""
 
 
 @contextlib.contextmanager
@@ -88,7 +88,7 @@ def listed(items: Sequence[object]) -> str:
 
 
 def no_vulkan_device(reason: object) -> SimulatorError:
-    """Returns the error for a machine on which SAPIEN finds nothing to render with."""
+    """Returns the error for a machine without a rendering device for SAPIEN."""
     return SimulatorError(
         "SAPIEN found no Vulkan device to render with.",
         got=reason,

@@ -34,8 +34,8 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
     """Writes a file that is complete after a crash, or as it was before.
 
     Args:
-        path: of the file; its folder exists.
-        content: of the file.
+        path: file path; the folder must exist.
+        content: new content.
         crash_points: before and after the rename.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -56,9 +56,9 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
 
 
 def append_line(path: Path, line: str) -> None:
-    """Appends a line; the folder is made if it is missing.
+    """Appends a line; creates the folder if needed.
 
-    One write to a file opened for appending is atomic, so processes may share a log.
+    A single write in append mode is atomic, so several processes can share a log.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
@@ -69,7 +69,7 @@ def append_line(path: Path, line: str) -> None:
 
 
 def last_line(path: Path, within: int = 4096) -> str:
-    """Returns the last line of a log that is not empty; "" where there is none in its last ``within`` bytes."""
+    """Returns the last non-empty line of a log; "" if its last ``within`` bytes have none."""
     try:
         with open(path, "rb") as file:
             file.seek(max(0, path.stat().st_size - within))
@@ -81,9 +81,9 @@ def last_line(path: Path, within: int = 4096) -> str:
 
 @contextlib.contextmanager
 def locked(folder: Path, busy: str, hint: str) -> Iterator[int]:
-    """Keeps other processes out of a folder; raises `DatasetError` that says ``busy`` if one is in it.
+    """Locks a folder against other processes; raises `DatasetError` with the text ``busy`` if it is locked.
 
-    Yields the lock's file descriptor: a process that inherits it keeps others out, too, whatever becomes of this one.
+    Yields the lock's file descriptor; a process that inherits it holds the lock even if this process ends.
     """
     with open(folder / "lock", "w") as lock:
         try:
@@ -94,7 +94,7 @@ def locked(folder: Path, busy: str, hint: str) -> Iterator[int]:
 
 
 def sync(path: Path) -> None:
-    """Makes a file's content, or the names in a folder, durable."""
+    """Makes a file's content, or a folder's list of names, durable."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)
@@ -103,7 +103,7 @@ def sync(path: Path) -> None:
 
 
 def sync_tree(folder: Path) -> None:
-    """Makes a folder with everything in it durable: files first, then the folders that name them, inner ones first."""
+    """Makes a folder and its content durable: files first, then the folders from the inside out."""
     for parent, _, names in os.walk(folder, topdown=False):
         for name in names:
             sync(Path(parent) / name)
@@ -111,7 +111,7 @@ def sync_tree(folder: Path) -> None:
 
 
 def move_durably(source: Path, target: Path) -> None:
-    """Renames a synced file or folder to ``target``, whose old content, if any, has to be an empty folder or a file."""
+    """Renames a synced file or folder to ``target``, which may be a file, an empty folder or missing."""
     os.replace(source, target)
     crash_point("dataset renamed")
     sync(target.parent)
@@ -120,18 +120,18 @@ def move_durably(source: Path, target: Path) -> None:
 
 
 def remove_tree(folder: Path) -> None:
-    """Removes a folder, if it is there, and makes that durable."""
+    """Removes a folder, if it exists, durably."""
     if folder.exists():
         shutil.rmtree(folder)
         sync(folder.parent)
 
 
 def remove_temporaries(folder: Path) -> None:
-    """Removes what a process that died in `write_atomically` left in a folder."""
+    """Removes temporary files that a crashed `write_atomically` left in a folder."""
     for path in folder.glob(".*.tmp"):
         path.unlink(missing_ok=True)
 
 
 def tree_bytes(folder: Path) -> int:
-    """Returns the size of all files of a folder."""
+    """Returns the total size of all files in a folder."""
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())

@@ -18,7 +18,7 @@ from pathlib import Path
 from lerobot_adamanip.util.import_graph import ImportGraph, our_import_graph
 
 VERSIONED = ("lerobot", "mani_skill", "sapien", "numpy", "torch", "fpsample", "scipy")
-"""Distributions whose version may decide how an episode comes out."""
+"""Distributions whose version may affect episodes."""
 DECIDES_NOTHING: Mapping[str, str] = {
     "lerobot_adamanip.util.errors": "texts of errors",
     "lerobot_adamanip.util.fingerprint": "tells what decides",
@@ -37,16 +37,16 @@ _LENGTH = 16
 
 @functools.cache
 def code_closure(*entries: str) -> frozenset[str]:
-    """Returns the modules of this project that decide what ``entries``, names of modules, come to."""
+    """Returns this project's modules that affect the results of ``entries``, which are module names."""
     return our_import_graph().closure(entries, DECIDES_NOTHING)
 
 
 def code_hash(modules: Iterable[str], graph: ImportGraph | None = None) -> str:
-    """Returns a short hash of modules, by name and content, whatever their order.
+    """Returns a short hash of modules by name and content, independent of their order.
 
     Args:
         modules: dotted names.
-        graph: of the packages they are in; left out for this project's.
+        graph: import graph of their packages; by default this project's.
     """
     files, made = (graph or our_import_graph()).modules, hashlib.sha256()
     for module in sorted(modules):
@@ -57,7 +57,7 @@ def code_hash(modules: Iterable[str], graph: ImportGraph | None = None) -> str:
 
 @functools.cache
 def versions() -> Mapping[str, str]:
-    """Returns the installed versions of `VERSIONED`, and Python's."""
+    """Returns the installed versions of Python and of `VERSIONED`."""
     found = {"python": platform.python_version()}
     for name in VERSIONED:
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -76,7 +76,7 @@ def cpu_model() -> str:
 
 
 def combined(parts: Mapping[str, str]) -> str:
-    """Returns one short hash of a fingerprint's parts: two episodes of one hash came from the same code."""
+    """Returns one short hash of all fingerprint parts; equal hashes mean equal code and versions."""
     text = "\n".join(f"{name}={parts[name]}" for name in sorted(parts))
     return hashlib.sha256(text.encode()).hexdigest()[:_LENGTH]
 
@@ -91,5 +91,5 @@ def _without_docstrings(source: str) -> ast.Module:
 
 
 def _is_text(node: ast.AST) -> bool:
-    """Whether a statement is a docstring, of a function, class, module or attribute."""
+    """Whether a statement is a docstring of a function, class, module or attribute."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

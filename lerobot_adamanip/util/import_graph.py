@@ -1,4 +1,4 @@
-"""The import graph of Python packages, read from their source: nothing is imported."""
+"""Import graph of Python packages, read from their source without importing them."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ _IMPORTERS = ("import_module", "importlib.import_module")
 
 @dataclass(frozen=True)
 class ImportGraph:
-    """Modules of some packages, and which of them each one imports.
+    """Modules of some packages, and the imports between them.
 
-    Imports inside functions count, those under ``if TYPE_CHECKING`` do not. ``import_module(f"package.{name}")`` counts
-    as an import of every module whose name begins so.
+    Imports inside functions count; those under ``if TYPE_CHECKING`` do not. ``import_module(f"package.{name}")``
+    counts as an import of every module with that prefix.
 
     Attributes:
-        roots: dotted name of a package -> its folder.
+        roots: dotted name of a package -> folder.
     """
 
     roots: Mapping[str, Path]
 
     @functools.cached_property
     def modules(self) -> Mapping[str, Path]:
-        """Module -> its file, in order of names."""
+        """Module -> file, sorted by name."""
         found = {}
         for package, folder in self.roots.items():
             for path in folder.rglob("*.py"):
@@ -47,7 +47,7 @@ class ImportGraph:
             elif isinstance(node, ast.ImportFrom):
                 base = package.rsplit(".", node.level - 1)[0] + "." if node.level else ""
                 source = f"{base}{node.module or ''}".rstrip(".")
-                # `from package import module` imports the module, `from module import name` the module it is from.
+                # `from package import module` imports the module; `from module import name` imports its source.
                 names = [f"{source}.{alias.name}" for alias in node.names]
                 found |= {name if name in self.modules else source for name in names}
             elif isinstance(node, ast.Call) and ast.unparse(node.func) in _IMPORTERS and node.args:
@@ -56,14 +56,14 @@ class ImportGraph:
         return {each for each in found if each in self.modules} - {module}
 
     def closure(self, entries: Iterable[str], leave_out: Iterable[str] = ()) -> frozenset[str]:
-        """Returns the modules that run when ``entries`` do, with the packages they are in.
+        """Returns all modules that run when ``entries`` are imported, including their packages.
 
         Args:
-            entries: names of modules.
-            leave_out: modules and packages at which the search stops. The ``__init__`` of a root is left out too.
+            entries: module names.
+            leave_out: modules and packages that stop the search. The ``__init__`` of a root is always left out.
 
         Raises:
-            KeyError: there is no such module.
+            KeyError: a module does not exist.
         """
         out, found, left = tuple(leave_out), set[str](), list(entries)
         while left:
@@ -79,19 +79,19 @@ class ImportGraph:
 
 @functools.cache
 def our_import_graph() -> ImportGraph:
-    """Returns the graph of this project's packages that are installed."""
+    """Returns the graph of this project's installed packages."""
     found = {name: importlib.util.find_spec(name) for name in OUR_PACKAGES}
     folders = {name: spec.submodule_search_locations for name, spec in found.items() if spec is not None}
     return ImportGraph({name: Path(folder[0]) for name, folder in folders.items() if folder})
 
 
 def is_within(module: str, packages: Iterable[str]) -> bool:
-    """Returns whether a module is one of ``packages`` or in one of them."""
+    """Returns whether a module is one of ``packages`` or inside one."""
     return any(module == each or module.startswith(f"{each}.") for each in packages)
 
 
 def _running_nodes(tree: ast.AST) -> Iterator[ast.AST]:
-    """Yields all nodes but those under `if TYPE_CHECKING`, which never run."""
+    """Yields all nodes except those under `if TYPE_CHECKING`."""
     left = [tree]
     while left:
         node = left.pop()
@@ -101,6 +101,6 @@ def _running_nodes(tree: ast.AST) -> Iterator[ast.AST]:
 
 
 def _constant_prefix(argument: ast.expr) -> str:
-    """Text that an expression begins with, empty if it begins with a value."""
+    """Returns the constant text at the start of an expression; empty if it starts with a value."""
     first = argument.values[0] if isinstance(argument, ast.JoinedStr) and argument.values else argument
     return first.value if isinstance(first, ast.Constant) and isinstance(first.value, str) else ""

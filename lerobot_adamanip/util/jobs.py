@@ -33,7 +33,7 @@ _STOP_SECONDS = 5.0
 _MIN_BEAT_SECONDS = 1.0
 
 Heartbeat = Callable[[], None]
-"""Called now and then while an item runs."""
+"""Called at intervals while an item runs."""
 type Work[Item] = Callable[[Item, Heartbeat], object]
 """Runs one item."""
 type Session[Item] = Callable[[], AbstractContextManager[Work[Item]]]
@@ -127,11 +127,11 @@ class _Worker[Item]:
 
 
 class WorkerPool[Item]:
-    """Runs items on up to ``count`` processes. Use as a context manager: leaving it ends them.
+    """Runs items on up to ``count`` processes. Use as a context manager; its exit ends the processes.
 
     Args:
         session: creates what a worker keeps from item to item.
-        count: of processes.
+        count: maximum number of processes.
         timeout: a worker without a heartbeat for so long [s] is ended; this counts as a crash.
     """
 
@@ -152,7 +152,7 @@ class WorkerPool[Item]:
         self._workers.clear()
 
     def run(self, items: Iterable[Item]) -> Iterator[JobResult[Item]]:
-        """Yields the result of each item, in the order they finish; raises `WorkerError`."""
+        """Yields the result of each item, in order of completion; raises `WorkerError`."""
         self._queue = deque(items)
         while self._queue or self._workers:
             while self._queue and len(self._workers) < self._count:

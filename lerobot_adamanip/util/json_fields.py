@@ -18,7 +18,7 @@ MAX_BYTES = 8_000_000
 """More than any file of this project has."""
 
 Check = Callable[[str, object], Any]
-"""Takes a field's name and value; returns the value, or raises ValueError that names the field."""
+"""Check of a field: takes name and value; returns the value or raises ValueError that names the field."""
 
 
 def parse(content: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
@@ -69,17 +69,17 @@ flag = _check(lambda value: isinstance(value, bool), "true or false")
 
 
 def choice(choices: Collection[str]) -> Check:
-    """Returns a check for one of some words."""
+    """Returns a check for one of several words."""
     return _check(lambda value: isinstance(value, str) and value in choices, " | ".join(choices))
 
 
 def text(pattern: str, meaning: str) -> Check:
-    """Returns a check for text that matches a pattern as a whole."""
+    """Returns a check for text that matches a pattern completely."""
     return _check(lambda value: isinstance(value, str) and re.fullmatch(pattern, value), meaning)
 
 
 def listing(each: Check, lowest: int, highest: int) -> Check:
-    """Returns a check for a list of ``lowest`` to ``highest`` entries; gives a tuple."""
+    """Returns a check for a list of ``lowest`` to ``highest`` entries; it returns a tuple."""
 
     def check(name: str, value: object) -> tuple[Any, ...]:
         if not isinstance(value, list | tuple) or not lowest <= len(value) <= highest:
@@ -90,7 +90,7 @@ def listing(each: Check, lowest: int, highest: int) -> Check:
 
 
 def mapping(key: Check, each: Check, highest: int) -> Check:
-    """Returns a check for at most ``highest`` named values."""
+    """Returns a check for a mapping with at most ``highest`` entries."""
 
     def check(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, Mapping) or len(value) > highest:
@@ -116,9 +116,9 @@ def table(checks: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
 
 
 def record[Made](kind: type[Made]) -> Callable[[str, object], Made]:
-    """Returns a check for the fields of a dataclass, each of which is annotated with its own; gives the dataclass.
+    """Returns a check that parses a dataclass; each field is annotated with its own check.
 
-    Fields with a default may be left out; fields without a check must be.
+    Fields with a default are optional. Fields without a check must be missing.
     """
     hints = get_type_hints(kind, include_extras=True)
     checks = {name: hint.__metadata__[0] for name, hint in hints.items() if get_origin(hint) is Annotated}

@@ -1,4 +1,4 @@
-"""Errors for modules that stand elsewhere since version 0.3: importing one names its new place."""
+"""Import errors for modules that moved in version 0.3; the error names the new module."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ MOVED = {
     "rotations": "contract.rotations", "schema": "contract.schema", "seeds": "contract.seeds",
     "trained_policy": "collection.trained_policy",
 }  # fmt: skip
-"""Name below `lerobot_adamanip` until version 0.2 -> name since."""
+"""Name below `lerobot_adamanip` until version 0.2 -> new name."""
 
 
 class MovedModules(importlib.abc.MetaPathFinder):
-    """Finds nothing: it stands behind the other finders and raises for a module that has moved."""
+    """Raises for moved modules; finds no module itself. It runs after the other finders."""
 
     def find_spec(
         self, fullname: str, path: Sequence[str] | None, target: ModuleType | None = None
     ) -> importlib.machinery.ModuleSpec | None:
-        """Raises `ModuleNotFoundError` for an old name; None for any other."""
+        """Raises `ModuleNotFoundError` for an old name; returns None for any other."""
         package, _, name = fullname.partition(".")
         if package == "lerobot_adamanip" and name in MOVED:
             raise ModuleNotFoundError(f"{fullname} has moved: import lerobot_adamanip.{MOVED[name]}", name=fullname)

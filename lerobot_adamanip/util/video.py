@@ -1,4 +1,4 @@
-"""Writing frames as a video that any browser plays."""
+"""Export of frames as a video for browsers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> Path:
-    """Writes (H, W, 3) RGB frames of one even size as H.264; returns the path. Raises `ValueError` without frames."""
+    """Writes (H, W, 3) RGB frames of one, even size as H.264; returns the path. Raises `ValueError` without frames."""
     import av
 
     target = Path(path)

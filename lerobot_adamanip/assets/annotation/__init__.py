@@ -1,1 +1,1 @@
-"""Annotations of external assets: the file, a first proposal, and the session that edits one."""
+"""Annotations of external assets: the file, the initial proposal, and the editing session."""

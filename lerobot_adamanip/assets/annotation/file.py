@@ -1,4 +1,4 @@
-"""What is known about an external asset beside its URDF, and ``adamanip.json``, the annotation tool's file."""
+"""Annotation of an external asset in addition to its URDF, and its file ``adamanip.json``."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from lerobot_adamanip.util.errors import require_choice
 from lerobot_adamanip.util.files import write_atomically
 
 ANNOTATION_NAME = "adamanip.json"
-"""What `adamanip annotate` saves beside a URDF."""
+"""File that `adamanip annotate` writes beside a URDF."""
 FORMAT, VERSION = "adamanip-annotation", 1
 
 
 @dataclass(frozen=True)
 class JointChoice:
-    """Which joint plays a role: it rests at ``rest`` and goes towards ``open`` (the URDF's units; sign included)."""
+    """Joint of a role; its positions ``rest`` and ``open`` are in the URDF's units, with sign."""
 
     joint: str
     rest: float
@@ -34,9 +34,7 @@ class JointChoice:
 
 @dataclass(frozen=True)
 class PartChoice:
-    """Where a part is held: ``grasp`` (4, 4) [m] in the frame of its link, or in the object frame with all joints at
-    rest.
-    """
+    """Grasp of a part: ``grasp`` (4, 4) [m] in the frame of its link, or in the object frame with joints at rest."""
 
     link: str
     grasp: Pose
@@ -46,15 +44,15 @@ class PartChoice:
 
 @dataclass(frozen=True)
 class Annotation:
-    """All that turns a URDF into an object.
+    """Everything needed to convert a URDF into an object.
 
     Attributes:
-        category: of the object.
-        joints: per role of the category.
-        parts: per part of the category.
-        scale: metres per unit of length of the URDF.
-        object_in_urdf: (4, 4) the object frame in the URDF's root frame, in metres; None: front along -x, up along z,
-            the origin from the bounding box (AdaManip, PartNet-Mobility).
+        category: category of the object.
+        joints: role of the category -> joint.
+        parts: part of the category -> grasp.
+        scale: metres per length unit of the URDF.
+        object_in_urdf: (4, 4) object frame in the URDF's root frame [m]. None: front along -x, up along z, origin from
+            the bounding box (AdaManip, PartNet-Mobility).
     """
 
     category: str
@@ -65,7 +63,7 @@ class Annotation:
 
 
 def read_annotation(path: Path, category: str) -> Annotation:
-    """Reads ``adamanip.json``; `ConfigurationError` if it is of another category or anything in it is wrong."""
+    """Reads ``adamanip.json``; raises `ConfigurationError` if its category or content is wrong."""
 
     def wrong(what: str, got: object, allowed: str) -> Exception:
         return broken(path, what, got, allowed, hint=annotate_hint(path))
@@ -99,7 +97,7 @@ def read_annotation(path: Path, category: str) -> Annotation:
 
 
 def save_annotation(path: Path, annotation: Annotation) -> None:
-    """Writes ``adamanip.json``, all or nothing: a crash leaves the old file as it was."""
+    """Writes ``adamanip.json`` atomically: after a crash the old file is unchanged."""
     content = {
         "format": FORMAT,
         "version": VERSION,
@@ -116,7 +114,7 @@ def save_annotation(path: Path, annotation: Annotation) -> None:
 
 
 def pose_from_json(value: Any) -> Pose:
-    """Returns a (4, 4) rigid transform out of nested lists; ValueError if it is none."""
+    """Returns a (4, 4) rigid transform from nested lists; raises ValueError if it is invalid."""
     pose = np.array(value, dtype=np.float64)
     if pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > HUGE:
         raise ValueError(f"not a finite (4, 4) transform: {value}")

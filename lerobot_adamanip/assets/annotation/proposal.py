@@ -1,7 +1,7 @@
-"""A first guess at an annotation, for a person to refine (the paper's appendix, "Pose Annotation").
+"""Initial annotation for manual refinement (the paper's appendix, "Pose Annotation").
 
-Joints are guessed from their kind, their place in the tree and the size of what they move; a part's pose from the
-bounding box of its mesh.
+Joints are chosen by their type, their position in the tree and the size of their links; grasps by the bounding box of
+the part's mesh.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, f
 Array = NDArray[np.float64]
 
 SMALLEST_PART = 0.02
-"""What is smaller along each side is a mark or a screw, nothing to hold [m]."""
+"""Meshes with a smaller longest side are marks or screws, not handles [m]."""
 GRIP_DEPTH = 0.015
-"""How far a proposed grasp reaches over a part, at most [m]."""
+"""Maximum depth of a proposed grasp over a part [m]."""
 
 
 def propose(urdf: Urdf, category: str) -> Annotation:
-    """Returns a whole annotation, guessed from the URDF and its meshes alone.
+    """Returns a complete annotation, derived only from the URDF and its meshes.
 
     Raises:
-        ConfigurationError: no two joints move as the category needs, or a mesh cannot be read.
+        ConfigurationError: no two joints fit the category, or a mesh cannot be read.
     """
     roles = ROLES[category]
     by_hand = Annotation(category, {}, {})
@@ -53,21 +53,21 @@ def propose(urdf: Urdf, category: str) -> Annotation:
 def propose_part(
     found: Posed, annotation: Annotation, part: PartRole, frame: Pose, link: str | None = None
 ) -> PartChoice:
-    """Returns a part's pose by the bounding box of its mesh; ``frame`` (4, 4) is the object's in the URDF's root frame.
+    """Returns the grasp of a part from the bounding box of its mesh.
 
     Args:
         found: the URDF at rest.
-        annotation: its category and joints.
-        part: to propose.
-        frame: see above.
-        link: that the part belongs to; None: the one its last joint moves.
+        annotation: its category and joints are used.
+        part: part to propose a grasp for.
+        frame: (4, 4) object frame in the URDF's root frame [m].
+        link: link of the part; None for the child of its last joint.
     """
     roles, joints = ROLES[annotation.category], annotation.joints
     link = link or part_link(found.urdf, part, joints, roles.final, roles.key)
     leaders = groups(found.urdf, joints)
     surfaces = [s for name, leader in leaders.items() if leader == leaders[link] for s in found.visuals[name]]
     if found.visuals[link] and link != leaders[link]:
-        surfaces = list(found.visuals[link])  # a handle that is a link of its own
+        surfaces = list(found.visuals[link])  # a handle with its own link
     to_object: Array = np.linalg.inv(frame).astype(np.float64)
     boxes = [_box(surface, to_object) for surface in surfaces]
     at = (to_object @ found.poses[link])[:3, 3]
@@ -77,7 +77,7 @@ def propose_part(
 
 
 def grasp_of_box(lower: Array, upper: Array, part: PartRole) -> Pose:
-    """Returns a grasp (4, 4) over the near face of a box, (3,) to (3,), fingers across its slimmer side."""
+    """Returns a grasp (4, 4) over the near face of a box from (3,) to (3,), with fingers across its slimmer side."""
     middle, extent = (lower + upper) / 2, upper - lower
     if part.grasp == "facing":
         depth = min(GRIP_DEPTH, extent[0] / 2)
@@ -87,7 +87,7 @@ def grasp_of_box(lower: Array, upper: Array, part: PartRole) -> Pose:
 
 
 def _graspable(boxes: Sequence[tuple[Array, Array]], part: PartRole) -> tuple[Array, Array]:
-    """The box of the mesh that sticks out furthest towards the hand, if it is one among larger ones; else of all."""
+    """Returns the box of the small mesh nearest to the hand; the box of all meshes if none is small."""
     lower, upper = np.min([b[0] for b in boxes], axis=0), np.max([b[1] for b in boxes], axis=0)
     along = 0 if part.grasp == "facing" else 2
     small = [
@@ -108,7 +108,7 @@ def _kinds(role: JointRole) -> tuple[str, ...]:
 
 
 def _largest(found: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> UrdfJoint:
-    """The joint of the role's kind that moves the most; one with a limit rather than one that turns for ever."""
+    """Returns the joint of the role's type that moves the largest links; prefers joints with limits."""
     fitting = [joint for joint in joints if joint.kind in _kinds(role)]
     if not fitting:
         got = [f"{joint.name} ({joint.kind})" for joint in joints] or "none"
@@ -123,7 +123,7 @@ def _largest(found: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> Urdf
 
 
 def _chain(urdf: Urdf, link: str) -> list[str]:
-    """The link and all above it."""
+    """Returns the link and all its ancestors."""
     chain = [link]
     while (above := urdf.joint_above(chain[-1])) is not None:
         chain.append(above.parent)
@@ -131,7 +131,7 @@ def _chain(urdf: Urdf, link: str) -> list[str]:
 
 
 def _scale(urdf: Urdf, found: Posed, category: str) -> float:
-    """1 for metres; for PartNet-Mobility, whose objects are all of one size, what makes a typical one of it."""
+    """Returns 1 for URDFs in metres; scales PartNet-Mobility's normalised objects to the category's typical size."""
     if not (urdf.path.parent / "semantics.txt").is_file() and not (urdf.path.parent / "meta.json").is_file():
         return 1.0
     lower, upper = found.bounds()

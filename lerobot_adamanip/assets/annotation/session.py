@@ -1,4 +1,4 @@
-"""An annotation while somebody works on it: loaded from the best there is, changed step by step, never lost."""
+"""Editing session of an annotation: loads the best available one, applies changes, and autosaves them."""
 
 from __future__ import annotations
 
@@ -25,24 +25,24 @@ from lerobot_adamanip.objects.base import TWO_FINGERS, ArticulatedObject, Pose, 
 from lerobot_adamanip.util.errors import ConfigurationError
 
 DRAFT_NAME = "adamanip.draft.json"
-"""Changes that have not been saved yet; removed by saving."""
+"""Unsaved changes; removed by saving."""
 
 
 class Draft:
-    """The annotation of one folder. Grasps are in the object frame, joints at rest.
+    """Annotation of one folder during editing. Grasps are in the object frame, with joints at rest.
 
     Attributes:
-        folder, path: of the object, and of its ``adamanip.json``.
-        annotation: as it stands.
-        origin: where it came from, in words.
-        changed: whether there are changes that no file holds yet.
+        folder, path: of the object and of its ``adamanip.json``.
+        annotation: present state.
+        origin: its source, in words.
+        changed: whether it has changes that no file contains yet.
     """
 
     def __init__(self, folder: Path, category: str) -> None:
         """Reads the folder.
 
         Raises:
-            ConfigurationError: the URDF, a mesh, or an annotation that is there cannot be read. Nothing is overwritten.
+            ConfigurationError: the URDF, a mesh or the existing annotation is unreadable. No file is overwritten.
         """
         self.folder, self.category, self.path = folder, category, folder / ANNOTATION_NAME
         self.urdf: Urdf = read_urdf(folder / URDF_NAME)
@@ -60,7 +60,7 @@ class Draft:
             return propose(self.urdf, self.category), "proposed from bounding boxes"
 
     def _place(self) -> None:
-        """Poses the URDF, and expresses what is given in links' frames in the object frame."""
+        """Computes the link poses, and converts grasps from link frames to the object frame."""
         self.posed: Posed = posed(self.urdf, self.annotation)
         frame = object_frame(self.posed, self.annotation)
 
@@ -73,11 +73,11 @@ class Draft:
         self.annotation = replace(self.annotation, parts=parts, object_in_urdf=frame)
 
     def object(self) -> ArticulatedObject:
-        """Returns the object as it would be, without collision shapes; `ConfigurationError` if the joints clash."""
+        """Returns the object without collision shapes; raises `ConfigurationError` if the joints conflict."""
         return assemble(self.urdf, self.annotation, self.posed, solid=False, checked=False)
 
     def problem(self) -> str:
-        """Returns what keeps the annotation from being used; an empty text if nothing does."""
+        """Returns the problem that makes the annotation unusable; empty if there is none."""
         try:
             self._check()
         except ConfigurationError as error:
@@ -88,12 +88,12 @@ class Draft:
         assemble(self.urdf, self.annotation, self.posed, solid=False)
 
     def set_joint(self, role: JointRole, joint: str) -> None:
-        """Chooses the joint of a role, with the limits the URDF gives it."""
+        """Sets the joint of a role, with the limits from the URDF."""
         chosen = next(each for each in self.urdf.moving if each.name == joint)
         self._set_choice(role.name, default_choice(role, chosen))
 
     def set_range(self, role: str, rest: float, opened: float) -> None:
-        """Sets where a joint rests and goes to, in the URDF's units."""
+        """Sets the rest and open positions of a joint, in the URDF's units."""
         self._set_choice(role, JointChoice(self.annotation.joints[role].joint, rest, opened))
 
     def _set_choice(self, role: str, choice: JointChoice) -> None:
@@ -109,17 +109,17 @@ class Draft:
         self.changed = True
 
     def set_grasp(self, part: str, grasp: Pose) -> None:
-        """Moves the grasp (4, 4) of a part, object frame, joints at rest."""
+        """Sets the grasp (4, 4) of a part, in the object frame with joints at rest."""
         self._set_part(part, replace(self.annotation.parts[part], grasp=grasp))
 
     def set_link(self, part: PartRole, link: str) -> None:
-        """Chooses the link a part belongs to, and proposes a grasp on it."""
+        """Sets the link of a part, and proposes a grasp on it."""
         assert self.annotation.object_in_urdf is not None
         frame = self.annotation.object_in_urdf
         self._set_part(part.name, propose_part(self.posed, self.annotation, part, frame, link))
 
     def set_round(self, part: str, any_side: bool) -> None:
-        """Says whether a part may be held from every side of the approach."""
+        """Sets whether a part can be held from every side of the approach."""
         self._set_part(part, replace(self.annotation.parts[part], rolls=any_roll() if any_side else TWO_FINGERS))
 
     def _set_part(self, name: str, part: PartChoice) -> None:
@@ -127,7 +127,7 @@ class Draft:
         self.changed = True
 
     def set_scale(self, scale: float) -> None:
-        """Sets the metres per unit of the URDF; everything grows with it."""
+        """Sets the metres per unit of the URDF; scales all positions."""
         grown = np.ones((4, 4))
         grown[:3, 3] = scale / self.annotation.scale
         parts = {k: replace(part, grasp=part.grasp * grown) for k, part in self.annotation.parts.items()}
@@ -138,7 +138,7 @@ class Draft:
         self.changed = True
 
     def autosave(self) -> None:
-        """Keeps changes in a file beside the annotation, until they are saved."""
+        """Keeps unsaved changes in a draft file beside the annotation."""
         if self.changed:
             save_annotation(self.folder / DRAFT_NAME, self.annotation)
             self.changed = False
@@ -147,7 +147,7 @@ class Draft:
         """Writes ``adamanip.json`` and removes the draft.
 
         Raises:
-            ConfigurationError: the object could not be used with it; the changes are kept as a draft.
+            ConfigurationError: the object is unusable with it; the changes are kept as a draft.
         """
         try:
             self._check()

@@ -1,4 +1,4 @@
-"""Caps of bottles: what two fingers turn. Frame: on the axis at the cap's lower edge, z up."""
+"""Bottle caps, which two fingers turn. Frame: on the axis at the cap's lower edge, z up."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from lerobot_adamanip.objects.geometry.lathe import Ring, fluted, grip_solid, tu
 from lerobot_adamanip.objects.geometry.shapes import chamfered_box
 
 _EXTRA = {"nozzle": 0.020, "spout": 0.018, "bulb": 0.024, "dome": 0.006, "ball": 0.019}
-"""What stands on top of the part to hold [m]."""
+"""Height of the parts above the grip [m]."""
 
 
 @dataclass(frozen=True)
@@ -21,10 +21,10 @@ class Cap:
     Attributes:
         kind: ``fluted``, ``smooth``, ``long``, ``dome``, ``flip``, ``nozzle``, ``spout``, ``bulb``, ``beaker``,
             ``ball``.
-        radius: of what the fingers hold [m].
-        height: of what the fingers hold [m].
-        look: material.
-        ribs: how many grooves, if it has any.
+        radius: radius of the gripped part [m].
+        height: height of the gripped part [m].
+        look: material of the cap.
+        ribs: number of grooves; 0 for none.
     """
 
     kind: str
@@ -35,7 +35,7 @@ class Cap:
 
     @property
     def whole_height(self) -> float:
-        """Height with all that stands on top [m]."""
+        """Height including all parts on top [m]."""
         return self.height + _EXTRA.get(self.kind, 0.0)
 
 
@@ -54,7 +54,7 @@ def cap_shapes(cap: Cap) -> tuple[Shape, ...]:
 
 
 def _wall(cap: Cap, edge: float) -> tuple[Shape, ...]:
-    """Solid up to the upper edge, which is rounded."""
+    """Returns a solid wall up to the rounded upper edge."""
     h, r = cap.height, cap.radius
     narrow = {"flip": 0.93, "beaker": 0.94}.get(cap.kind, 1.0)
     top = narrow * r

@@ -1,4 +1,4 @@
-"""Bottles: turned bodies of many trades, with a cap that is turned loose and lifted off."""
+"""Bottles: turned bodies of many kinds, with a cap to unscrew and lift off."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ from lerobot_adamanip.objects.geometry.lathe import Ring, ring_at, turned
 from lerobot_adamanip.objects.geometry.shapes import rod
 
 LIFT_UPPER = 0.05
-"""How far a loose cap lifts off [m] (paper code: 0.05)."""
+"""Lift travel of a loose cap [m] (paper code: 0.05)."""
 CAP_RANGE = 2.35
 """Nominal turn of a cap to either side [rad] (paper code: 2.35)."""
 CAP_GAP = 0.0008
-"""Between the neck and the cap above it [m]."""
+"""Gap between the neck and the cap [m]."""
 FINGER_TIP = 0.0125
-"""Kept between a grip and what is below the cap [m]: fingers reach 9 mm past the point between their pads."""
+"""Distance of a grip from the parts below the cap [m]: fingers reach 9 mm below the point between their pads."""
 GRIP_BELOW_TOP = 0.02
-"""Distance of a grip from the upper edge of a tall cap [m]: all of the pads on the cap, the palm clear of it."""
+"""Distance of a grip from the upper edge of a tall cap [m]: the pads fit on the cap without contact of the palm."""
 _STREAM = 0xB0771E
 
 
 @dataclass(frozen=True)
 class BottleDesign:
-    """The parameters of one bottle [m].
+    """Parameters of one bottle [m].
 
     Attributes:
         kind: a name of `RECIPES`.
-        rings: of the body, from the foot to the end of the neck below the cap.
+        rings: profile of the body, from the foot to the end of the neck below the cap.
         shoulder: height at which the body ends and the shoulder begins.
-        cap: what is turned.
+        cap: the cap.
         finish: look of the body.
-        fill: height up to which its content shows.
-        label: what it says.
+        fill: height of the visible content.
+        label: the label.
         handle: side of a jug's handle (-1 or 1), or 0.
     """
 
@@ -70,7 +70,7 @@ class BottleDesign:
 
 
 def draw_design(rng: np.random.Generator, kind: str, recipes: Mapping[str, Recipe] = RECIPES) -> BottleDesign:
-    """Draws the parameters of one bottle of a kind, a name of ``recipes``."""
+    """Samples the parameters of one bottle; ``kind`` is a name of ``recipes``."""
     recipe = recipes[kind]
     cap = Cap(
         kind=str(rng.choice(recipe.caps)),
@@ -97,7 +97,7 @@ def draw_design(rng: np.random.Generator, kind: str, recipes: Mapping[str, Recip
 def _profile(
     rng: np.random.Generator, recipe: Recipe, cap: Cap, heights: tuple[float, float, float]
 ) -> tuple[Ring, ...]:
-    """Foot, wall, shoulder and neck, from the bottom up."""
+    """Returns foot, wall, shoulder and neck, from bottom to top."""
     below, shoulder, neck = heights
     radius, depth, square, taper, waist, foot = (
         rng.uniform(*values)
@@ -126,7 +126,7 @@ def _profile(
 
 
 def _rise(kind: str, part: float) -> float:
-    """How much of the body's width is left, ``part`` of the way up the shoulder."""
+    """Returns the remaining fraction of the body's width at the fraction ``part`` of the shoulder's height."""
     if kind == "cone":
         return float(1 - part)
     if kind == "round":
@@ -149,7 +149,7 @@ def make_novel_bottle(number: int) -> ArticulatedObject:
 
 
 def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
-    """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
+    """Builds links and annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
     front = max(design.cap.radius, *(ring.radius * ring.depth for ring in design.rings))
     half_width = max(ring.radius for ring in design.rings) + (HANDLE_REACH if design.handle else 0.0)
     at = (-front, 0.0)
@@ -172,11 +172,11 @@ def build_bottle(object_id: str, design: BottleDesign) -> ArticulatedObject:
 
 
 HANDLE_REACH = 0.034
-"""How far a jug's handle stands out from its body [m]."""
+"""Protrusion of a jug's handle from its body [m]."""
 
 
 def _upright(height: float) -> Pose:
-    """Pose of a cylinder about z, ``height`` [m] up."""
+    """Returns the pose of a cylinder about z at ``height`` [m]."""
     pose = np.eye(4)
     pose[:3, :3] = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]
     pose[2, 3] = height
@@ -200,7 +200,7 @@ def _body_shapes(design: BottleDesign, at: tuple[float, float]) -> tuple[Shape, 
 
 
 def _finish_shapes(design: BottleDesign, at: tuple[float, float], wall: Material) -> tuple[Shape, ...]:
-    """The thread under the cap and the mouth, to be seen once the cap is off; the cap is solid, so they are not."""
+    """Returns thread and mouth, visible once the cap is off; they do not collide, because the cap is solid."""
     base, radius, height = design.neck_top, 0.86 * design.cap.radius, min(0.016, design.cap.height - 0.003)
     low = base - CAP_GAP
     shapes = turned((Ring(low, radius), Ring(low + height, radius)), wall, axis=at, collides=False)
@@ -213,7 +213,7 @@ def _finish_shapes(design: BottleDesign, at: tuple[float, float], wall: Material
 
 
 def _handle_shapes(design: BottleDesign, at: tuple[float, float], wall: Material) -> tuple[Shape, ...]:
-    """A jug's handle at its side, well below the hand."""
+    """Returns a jug's handle at its side, well below the hand."""
     top, bottom = 0.98 * design.shoulder, 0.42 * design.shoulder
     inner = ring_at(design.rings, bottom).radius - 0.004
     outer = inner + HANDLE_REACH - 0.004

@@ -1,4 +1,4 @@
-"""Labels of bottles: paper and print wrapped on the body, as decoration."""
+"""Bottle labels: paper and print wrapped around the body, as decoration."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from lerobot_adamanip.objects.geometry.lathe import Curves, Ring, decal, oval, p
 
 @dataclass(frozen=True)
 class Label:
-    """A label: its kind, the colours of paper, ink and accent, and its height as a fraction of the body's."""
+    """A label: kind, colours of paper, ink and accent, and height as a fraction of the body's."""
 
     kind: str
     paper: Color
@@ -24,7 +24,7 @@ class Label:
 
 
 def draw_label(rng: np.random.Generator, kind: str) -> Label:
-    """Draws a label of a kind; what is printed can be read against the paper."""
+    """Samples a label of a kind, with ink that contrasts with the paper."""
     plain = kind in ("pharmacy", "classic", "estate", "dairy")
     paper = LABEL_PAPERS[rng.integers(3 if plain else len(LABEL_PAPERS))]
     if kind == "pharmacy":
@@ -35,7 +35,7 @@ def draw_label(rng: np.random.Generator, kind: str) -> Label:
 
 
 def label_shapes(label: Label, rings: Sequence[Ring], shoulder: float, axis: tuple[float, float]) -> tuple[Shape, ...]:
-    """Returns the pictures of a label around a body that ends at ``shoulder`` [m]."""
+    """Returns the pictures of a label around a body with its shoulder at ``shoulder`` [m]."""
     colors = {"paper": label.paper, "ink": label.ink, "accent": label.accent}
     middle, height = 0.48 * shoulder, label.share * shoulder
     prints = _prints(label.kind, middle, height, ring_at(rings, middle).radius)
@@ -51,9 +51,9 @@ Bar = tuple[str, int, float, float, float]
 Oval = tuple[str, int, str, float, float, float]
 """Colour, layer, ``oval`` or ``rhombus``, width, height and middle."""
 Lines = tuple[float, float, int, float]
-"""Print too small to read: middle of the first line, width, how many, pitch."""
+"""Simulated small print: middle of the first line, width, number of lines, pitch."""
 Drawn = Callable[[float, float, float], list[Print]]
-"""What is drawn around a middle, for a label's height and a body's radius [m]."""
+"""Function that draws a print around a middle, for a label's height and a body's radius [m]."""
 
 
 def _prints(kind: str, middle: float, height: float, width: float) -> Iterator[Print]:
@@ -109,7 +109,7 @@ def _pointed(middle: float, height: float, width: float) -> list[Print]:
 
 
 def _cross(middle: float, height: float, width: float) -> list[Print]:
-    """A cross, and the name beside it."""
+    """Returns a cross with the name beside it."""
     arm, left, at = 0.05 * height, -0.62 * width, middle + 0.28 * height
     across, lower, upper = patch(3 * arm, 0, 0, 5)
     return [
@@ -160,4 +160,4 @@ _PRINTS: dict[str, tuple[float, float, tuple[Bar | Oval | Lines | Drawn, ...]]] 
     )),
     "badge": (1.0, 1.0, (_badge,)),
 }  # fmt: skip
-"""Width and height that the rows are shares of, as shares of the body's radius and of the label's height; the rows."""
+"""Kind -> width and height, as fractions of the body's radius and the label's height, and the rows in these units."""

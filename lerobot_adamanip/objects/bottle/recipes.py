@@ -1,4 +1,4 @@
-"""What kinds of bottle there are: sizes of products as they are sold [m], their caps, colours and labels."""
+"""Kinds of bottles: sizes of real products [m], their caps, colours and labels."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ Color = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class Recipe:
-    """A kind of bottle: what is drawn, and from where.
+    """A kind of bottle: sampled parameters and their ranges.
 
     Attributes:
-        height: of the whole, cap included.
+        height: total height, including the cap.
         radius: largest half width.
-        shoulder: where the body ends, as a fraction of the height below the cap.
-        neck: where the neck begins, likewise.
+        shoulder: upper end of the body, as a fraction of the height below the cap.
+        neck: lower end of the neck, as a fraction of the height below the cap.
         rise: profile of the shoulder, ``round``, ``ogee`` or ``cone``.
-        neck_radius: as a fraction of the cap's.
-        cap_radius, cap_height: of what the fingers hold.
+        neck_radius: radius of the neck, as a fraction of the cap's.
+        cap_radius, cap_height: of the gripped part.
         caps: kinds of cap.
         finishes: names of `FINISHES`.
         cap_colors: names of `PLASTICS` or `METALS`.
         labels: kinds of label.
         depth: extent front to back as a fraction of the width.
-        squareness: of the body's cross-section.
-        waist: how far the body is drawn in, as a fraction of its radius.
-        ribs: how many grooves run around it.
-        foot: radius of its lower edge.
-        taper: radius at its lower end as a fraction of that at the shoulder.
-        handle: whether a jug's handle stands at its side.
+        squareness: squareness of the body's cross section.
+        waist: depth of the body's waist, as a fraction of its radius.
+        ribs: number of grooves around it.
+        foot: radius of the rounded lower edge.
+        taper: radius at the lower end, as a fraction of the shoulder's.
+        handle: whether it has a jug handle at its side.
     """
 
     height: Range
@@ -178,12 +178,12 @@ NOVEL_RECIPES: dict[str, Recipe] = {
         ("copper", "silver", "white"), ("oval", "minimal"), taper=(1.05, 1.07),
     ),
 }  # fmt: skip
-"""Trades, shoulders and caps that no seen bottle has."""
+"""Kinds, shoulders and caps that no seen bottle has."""
 
 
 @dataclass(frozen=True)
 class Finish:
-    """The look of a bottle's body: its wall and, where it shows through, what is in it."""
+    """Look of a bottle's body: its wall and, if transparent, its content."""
 
     wall: Color
     content: Color | None = None

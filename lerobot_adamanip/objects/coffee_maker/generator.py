@@ -1,7 +1,7 @@
 """Coffee makers: espresso machines with a portafilter under the group head. Sizes follow home machines.
 
-The portafilter is held from above by its bar handle, which sticks out of the front: a hand that comes down can swing
-the handle 46 degrees to either side of a machine that itself stands a little askew; a level hand's yaw ends at 43.
+The bar handle at the front is gripped from above: a downward hand can swing it 46 degrees to either side of a slightly
+rotated machine, while a horizontal hand reaches its yaw limit at 43 degrees.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from lerobot_adamanip.objects.geometry.shapes import dot, mark, rod
 PORTAFILTER_RANGE = 0.80
 """Nominal turn to either side [rad] (paper code)."""
 DROP_UPPER = 0.05
-"""How far the portafilter comes down [m] (paper code)."""
+"""Downward travel of the portafilter [m] (paper code)."""
 GAP = 0.0015
-"""Between the group head and what turns below it [m]."""
+"""Gap between the group head and the turning parts below it [m]."""
 BASKET_RADIUS = 0.035
 BODY_STYLES = ("box", "column", "rounded")
 PANEL_STYLES = ("gauge", "buttons", "dial", "display")
@@ -47,17 +47,17 @@ NOVEL_COLORS = ((0.72, 0.30, 0.04), (0.30, 0.05, 0.20), (0.10, 0.28, 0.10), (0.7
 
 @dataclass(frozen=True, kw_only=True)
 class CoffeeMakerDesign:
-    """The parameters of one machine [m]. ``x`` values are measured from the group's axis, forwards.
-    Nothing but group and tray comes farther forward than that axis.
+    """Parameters of one machine [m]. ``x`` values are measured forwards from the group's axis. Only the group and the
+    tray extend farther forward than that axis.
 
     Attributes:
-        tray_height: of the base with the drip tray.
+        tray_height: height of the base with the drip tray.
         group_z: height of the group head's lower face.
-        axis_x: where the group's axis is, behind the tray's front.
+        axis_x: distance of the group's axis behind the tray's front.
         head_x: front face of the upper housing.
         column_x: front face of the back wall behind the cups.
-        grip_radius: of the grip, from the axis.
-        handle_length: from the axis to the handle's end.
+        grip_radius: distance of the grip from the axis.
+        handle_length: distance of the handle's end from the axis.
         handle_half: half width and height of the handle.
     """
 
@@ -87,12 +87,12 @@ class CoffeeMakerDesign:
 
     @property
     def head_face(self) -> float:
-        """The upper housing's front in the object's frame [m]."""
+        """Front of the upper housing in the object's frame [m]."""
         return self.axis_x + self.head_x
 
 
 def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:
-    """Draws a machine slimmer, or wider and lower, than any seen one, in new styles all over."""
+    """Samples a machine slimmer, or wider and lower, than all seen ones, in new styles."""
     base = draw(CoffeeMakerDesign, rng)
     slim = rng.random() < 0.5
     body = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], rng.uniform(0.25, 0.45), 0.1)
@@ -112,9 +112,9 @@ def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:
 
 
 def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> ArticulatedObject:
-    """Builds the links and the annotation of a design: joints ``drop`` and ``portafilter``, part ``handle``."""
+    """Builds links and annotation of a design: joints ``drop`` and ``portafilter``, part ``handle``."""
     group = (design.axis_x, 0.0, design.group_z)
-    # Damped, so that portafilter and puck (5 N) do not fall when they come free.
+    # Damped, so that portafilter and puck (5 N) do not fall when they are released.
     drop = Joint("drop", "prismatic", (0.0, 0.0, -1.0), group, (0.0, DROP_UPPER), damping=20.0)
     limits = (-PORTAFILTER_RANGE, PORTAFILTER_RANGE)
     turn = Joint("portafilter", "revolute", (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), limits, damping=0.15)
@@ -136,17 +136,17 @@ def build_coffee_maker(object_id: str, design: CoffeeMakerDesign) -> Articulated
 
 
 HANDLE_Z = -0.017
-"""Middle of the bar handle below the group head [m]."""
+"""Height of the handle's middle relative to the group head [m]."""
 
 
 def _puck_shapes() -> tuple[Shape, ...]:
-    """The coffee in the basket: it comes down with the portafilter and, being round, need not turn with it."""
+    """Returns the coffee puck: it moves down with the portafilter and, being round, need not turn with it."""
     coffee = Material((0.045, 0.022, 0.012), 0.9)
     return (upright((0, 0, -GAP - 0.0002), BASKET_RADIUS - 0.006, 0.0006, coffee, collides=False),)
 
 
 def _portafilter_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
-    """The portafilter about the group's axis, z from the group's lower face."""
+    """Returns the portafilter about the group's axis, z from the group's lower face."""
     r, chrome = BASKET_RADIUS, design.chrome
     bottomless = design.spout_style == "bottomless"
     low = -0.030 if bottomless else -0.036
@@ -176,7 +176,7 @@ def _spout_shapes(design: CoffeeMakerDesign, low: float) -> list[Shape]:
 
 
 def _handle_shapes(design: CoffeeMakerDesign, start: float) -> list[Shape]:
-    """The bar handle along x: parallel sides where fingers close."""
+    """Returns the bar handle along x, with parallel sides at the grip."""
     (w, h), z, end, grip = design.handle_half, HANDLE_Z, design.handle_length, design.grip
     collar = dot((start - 0.001, 0, z), 0.92 * w, 0.004, design.chrome)
     if design.handle_style == "straight":

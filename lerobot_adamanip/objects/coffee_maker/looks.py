@@ -1,4 +1,4 @@
-"""What a coffee maker's housing looks like: base and drip tray, column, head, group, panel, wand and top."""
+"""Appearance of a coffee maker's housing: base and drip tray, column, head, group, panel, wand and top."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _CORNERS = {
 
 
 def machine_shapes(design: CoffeeMakerDesign) -> tuple[Shape, ...]:
-    """Everything that stays where it is."""
+    """Returns all static shapes."""
     return tuple(shape for build in (_base, _housing, _group, _panel, _wand, _top) for shape in build(design))
 
 
@@ -40,7 +40,7 @@ def _slab(
     inset: float = 0.0,
     collides: bool = True,
 ) -> Shape:
-    """A part of the housing from ``front`` to the back, between two heights."""
+    """Returns a part of the housing from ``front`` to the back, between two heights."""
     corner, bevel = _CORNERS[design.body_style]
     half = ((design.depth + front) / 2 - inset, design.width / 2 - inset, (high - low) / 2)
     center = ((front - design.depth) / 2, 0, (low + high) / 2)
@@ -93,7 +93,7 @@ def _housing(design: CoffeeMakerDesign) -> list[Shape]:
 
 
 def _group(design: CoffeeMakerDesign) -> list[Shape]:
-    """The group head above the portafilter, its lower face at ``group_z``."""
+    """Returns the group head above the portafilter, with its lower face at ``group_z``."""
     x, z, r, chrome = design.axis_x, design.group_z, GROUP_RADIUS, design.chrome
     if design.body_style == "box":
         reach = design.head_x
@@ -115,7 +115,7 @@ def _group(design: CoffeeMakerDesign) -> list[Shape]:
 
 
 def _panel(design: CoffeeMakerDesign) -> list[Shape]:
-    """Controls on the upper front, none of them farther out than the group's axis."""
+    """Returns the controls on the upper front, none farther out than the group's axis."""
     face = design.head_face + (0.002 if design.body_style == "box" else 0.0)
     z = (design.group_z + 0.062 + design.height - 0.016) / 2
     side = design.width / 2 - 0.048
@@ -202,7 +202,7 @@ _PANELS = {
 
 
 def _wand(design: CoffeeMakerDesign) -> list[Shape]:
-    """The steam wand, kept behind the group's axis, where a turned hand does not come."""
+    """Returns the steam wand, behind the group's axis and out of the turned hand's way."""
     s, chrome = design.wand_side, design.chrome
     y = s * (design.width / 2 - 0.030)
     if design.body_style == "box":
@@ -225,7 +225,7 @@ def _wand(design: CoffeeMakerDesign) -> list[Shape]:
 
 
 def _side_knob(design: CoffeeMakerDesign) -> list[Shape]:
-    """The steam valve's knob, on the wand's side of the housing."""
+    """Returns the steam valve's knob, on the wand's side of the housing."""
     y, z = design.wand_side * design.width / 2, design.height - 0.045
     x = design.head_face - 0.075
     root, tip = np.array([x, y - 0.002 * design.wand_side, z]), np.array([x, y + 0.026 * design.wand_side, z])
@@ -265,7 +265,7 @@ def _top(design: CoffeeMakerDesign) -> list[Shape]:
 
 
 def _cup(at: tuple[float, float, float]) -> list[Shape]:
-    """An espresso cup, upside down as they are kept warm."""
+    """Returns an upside-down espresso cup, as on a cup warmer."""
     x, y, z = at
     return [
         revolved(at, [(0.031, 0), (0.030, 0.012), (0.024, 0.044), (0.017, 0.048)], WHITE, sides=32),

@@ -1,1 +1,1 @@
-"""What doors and windows have in common: frames, leaves, handles."""
+"""Parts that doors and windows share: frames, leaves, handles."""

@@ -1,4 +1,4 @@
-"""Pieces of wall with an opening, its casing and its hinges: what doors and windows hang in."""
+"""Wall pieces with an opening, casing and hinges, for doors and windows."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark, rod
 
 GAP = 0.005
-"""Between a leaf and its frame [m]: the back edge of a leaf that swings out needs a little."""
+"""Gap between a leaf and its frame [m]; the back edge needs it when the leaf swings out."""
 FINISHES = ("plaster", "boarding", "brick")
 BRICK, COURSE, BOARD = 0.125, 0.042, 0.055
 """Length and height of a brick and height of a board, with their joints [m]."""
@@ -18,16 +18,16 @@ BRICK, COURSE, BOARD = 0.125, 0.042, 0.055
 
 @dataclass(frozen=True)
 class Surround:
-    """A piece of wall [m]. Its front is the plane x = 0, y is 0 in its middle, z is up from the floor.
+    """A piece of wall [m]. Its front is the plane x = 0, its middle is y = 0, z is up from the floor.
 
     Attributes:
         width, height, depth: of the wall.
         left, right: y of the opening's edges.
-        bottom, top: z of the opening's edges; a bottom of 0 leaves no wall below.
+        bottom, top: z of the opening's edges; a bottom of 0 means no wall below.
         casing: width of the casing around the opening.
-        proud: thickness of the casing on the wall.
+        proud: thickness of the casing in front of the wall.
         finish: one of `FINISHES`.
-        wall, trim: looks.
+        wall, trim: materials.
     """
 
     width: float
@@ -44,11 +44,11 @@ class Surround:
     trim: Material
 
     def shapes(self) -> list[Shape]:
-        """Returns wall, lining and casing: solid, in the object's frame."""
+        """Returns wall, lining and casing in the object's frame; all collide."""
         return self._wall() + self._casing() + self._finish()
 
     def _blocks(self) -> list[tuple[float, float, float, float]]:
-        """(y from, y to, z from, z to) of the wall's blocks, the lining being part of the casing."""
+        """Returns (y from, y to, z from, z to) of the wall's blocks; the lining belongs to the casing."""
         left, right, edge = self.left - self.casing / 2, self.right + self.casing / 2, self.width / 2
         blocks = [
             (-edge, left, 0.0, self.height),
@@ -67,7 +67,7 @@ class Surround:
         return shapes
 
     def _casing(self) -> list[Shape]:
-        """Members that line the opening through the wall and stand proud of it around the opening."""
+        """Returns the members that line the opening and protrude in front of the wall."""
         w, x = self.casing / 2, (self.proud - self.depth - 0.004) / 2
         depth = (self.depth + 0.004 + self.proud) / 2
         low = self.bottom - self.casing if self.bottom > 0 else 0.0
@@ -81,7 +81,7 @@ class Surround:
         return [chamfered_box((x, y, z), (depth, a, b), 0.003, self.trim) for y, z, a, b in members]
 
     def _finish(self) -> list[Shape]:
-        """Joints between boards or courses, as thin lines on the wall's front; decoration."""
+        """Returns the joints between boards or bricks, as thin lines on the wall's front; decoration."""
         if self.finish == "plaster":
             return []
         boarding = self.finish == "boarding"
@@ -99,7 +99,7 @@ class Surround:
 
 
 def _butts(y0: float, y1: float, z0: float, z1: float) -> list[tuple[float, float]]:
-    """Where bricks of a course meet in running bond: (y, z) of the middles of upright joints in a block of wall."""
+    """Returns (y, z) of the vertical joints' middles in a brick wall block with running bond."""
     places = []
     for row in range(int(np.ceil(z0 / COURSE - 0.01)), int(z1 / COURSE)):
         offset = 0.5 * BRICK * (row % 2)
@@ -109,5 +109,5 @@ def _butts(y0: float, y1: float, z0: float, z1: float) -> list[tuple[float, floa
 
 
 def knuckles(y: float, heights: tuple[float, ...], half: float, metal: Material) -> list[Shape]:
-    """Returns hinge pins on the casing at ``y``, ``half`` [m] long to each side of each height."""
+    """Returns hinge pins on the casing at ``y``; each extends ``half`` [m] to both sides of its height."""
     return [rod((0.012, y, z - half), (0.012, y, z + half), 0.0065, metal) for z in heights]

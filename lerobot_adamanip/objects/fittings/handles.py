@@ -1,8 +1,8 @@
 """Handles that turn on a leaf: levers, knobs and bars, and the plates they sit on. Shared by doors and windows.
 
-A handle is built hanging straight down from its pivot, in a frame whose origin is the pivot on the leaf's face, x out
-of the leaf and z up, and then turned about x to the side it rests at. Sizes follow door and window furniture: a lever
-stands 55 to 65 mm off its leaf and is 110 to 140 mm long, a knob measures 45 to 56 mm.
+A handle is built hanging down from its pivot, then rotated about x to its rest position. Frame: origin at the pivot on
+the leaf's face, x out of the leaf, z up. Sizes follow door and window hardware: levers stand 55 to 65 mm off the leaf
+and are 110 to 140 mm long, knobs measure 45 to 56 mm.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ METALS = (
 )  # fmt: skip
 DARK = Material((0.02, 0.02, 0.02), 0.7)
 MASS = 0.06
-"""Of what turns [kg]."""
+"""Mass of the turning part [kg]."""
 SPRING, KNOB_SPRING = 0.35, 0.06
-"""Stiffness of the return spring [N m/rad]: of a lever, and of what is turned between two pads on its own axis."""
+"""Stiffness of the return spring [N m/rad]: for levers, and for handles gripped on their axis."""
 SIDES = 32
-"""Of what is round: a multiple of eight, so that a pad meets a flat from each of `any_roll`'s sides."""
+"""Number of sides of round handles: a multiple of eight, so that each grasp of `any_roll` meets a flat face."""
 
 
 @dataclass(frozen=True)
 class HandleDesign:
-    """The parameters of one handle [m, rad].
+    """Parameters of one handle [m, rad].
 
     Attributes:
         style: one of `LEVERS`, `KNOBS`, `CENTRED`.
         standoff: distance of the grip from the leaf's face.
-        length: of a lever from its pivot, or of a bar from end to end.
-        grip: distance of the grip from the pivot, along the lever; 0 for what is held on its pivot.
-        thickness: between the fingers.
-        rest: turn about the leaf's outward normal from hanging straight down to where the handle rests [rad].
+        length: distance from a lever's pivot to its end, or full length of a bar.
+        grip: distance of the grip from the pivot along the lever; 0 for a grip on the pivot.
+        thickness: width between the fingers.
+        rest: rotation about the leaf's outward normal, from hanging straight down to the rest position [rad].
         plate: one of `PLATES`.
-        metal: look.
+        metal: material.
     """
 
     style: str
@@ -61,25 +61,25 @@ class HandleDesign:
 
     @property
     def rolls(self) -> tuple[float, ...]:
-        """Rolls of equally good grasps [rad]."""
+        """Equivalent rolls of a grasp [rad]."""
         return any_roll() if self.style in KNOBS else TWO_FINGERS
 
     def grip_offset(self) -> NDArray[np.float64]:
-        """Returns the grip from the pivot (3,): x out of the leaf, z up [m]."""
+        """Returns the position (3,) of the grip relative to the pivot: x out of the leaf, z up [m]."""
         sideways = _SWEEP if self.style == "swept lever" else 0.0
         return rotation_about((1.0, 0.0, 0.0), self.rest) @ (self.standoff - DEEPER, sideways, -self.grip)
 
 
 DEEPER = 0.003
-"""How far the pads reach past the middle of what they hold [m]: every failed pull costs a little."""
+"""Depth of the pads behind the middle of the grip [m]: every failed pull slips a little."""
 _SWEEP = 0.010
-"""How far a swept lever bows to the side [m]."""
+"""Sideways bow of a swept lever [m]."""
 
 
 def draw_handle(
     rng: np.random.Generator, styles: Sequence[str], rest: float, metals: Sequence[Material]
 ) -> HandleDesign:
-    """Draws a handle of one of ``styles``; knobs and bars rest straight whatever ``rest`` [rad] is."""
+    """Samples a handle with one of ``styles``; knobs and bars ignore ``rest`` [rad]."""
     style = str(rng.choice(list(styles)))
     lever = style in LEVERS
     thickness = {"round lever": (0.017, 0.021), "return lever": (0.017, 0.021), "swept lever": (0.017, 0.021)}.get(
@@ -101,7 +101,7 @@ def draw_handle(
 
 
 def handle_shapes(design: HandleDesign) -> tuple[Shape, ...]:
-    """Returns what turns, in the frame of the pivot."""
+    """Returns the turning shapes, in the frame of the pivot."""
     if design.style in KNOBS:
         shapes = _knob(design)
     elif design.style in CENTRED:
@@ -114,17 +114,17 @@ def handle_shapes(design: HandleDesign) -> tuple[Shape, ...]:
 def handle_link(
     design: HandleDesign, names: tuple[str, str, str], pivot: NDArray[np.float64], turn_range: float, damping: float
 ) -> Link:
-    """Returns the handle on its spindle. Positive turns clockwise as seen by who stands in front: about -x.
+    """Returns the handle on its spindle. Positive is clockwise, seen from the front: about -x.
 
-    A return spring, as in a lock case, brings it back to rest. It is tensioned against the handle's weight, or one that
-    hangs to the side would sag in the direction it may turn in, and show it.
+    A return spring, as in a lock case, brings it back to rest. Its tension balances the handle's weight: otherwise a
+    sideways handle would sag in its turning direction and reveal the hidden state.
 
     Args:
-        design: of the handle.
-        names: of link, parent link and joint.
+        design: design of the handle.
+        names: names of link, parent link and joint.
         pivot: (3,) in the parent's frame [m].
-        turn_range: to either side [rad].
-        damping: of the spindle [N m s/rad].
+        turn_range: range to either side [rad].
+        damping: damping of the spindle [N m s/rad].
     """
     link, parent, name = names
     shapes = handle_shapes(design)
@@ -137,9 +137,9 @@ def handle_link(
 
 
 def _sideways(shapes: Sequence[Shape]) -> float:
-    """Returns how far (y) [m] a handle's centre of mass is from its spindle.
+    """Returns the offset (y) [m] of a handle's centre of mass from its spindle.
 
-    As bodies are built: the middle of a box around meshes, and 2 cm to each side of the centres of all shapes.
+    Computed as bodies are built: middle of a box around mesh vertices, and around 2 cm beside all shapes' centres.
     """
     reach = []
     for shape in shapes:
@@ -157,7 +157,7 @@ def _lever(design: HandleDesign) -> list[Shape]:
         middle = (end + half) / 2
         return [neck, chamfered_box((x, 0, middle), (0.010, half, half - middle), 0.002, metal)]
     if design.style == "paddle lever":
-        # Two pieces: in one convex hull the sides that are held would be a wedge, and a pull would slip along it.
+        # Two pieces: in one convex hull the gripped sides would form a wedge, and a pull would slip along it.
         hub = chamfered_box((x, 0, -0.006), (0.010, 1.7 * half, 0.018), 0.004, metal)
         return [neck, hub, chamfered_box((x, 0, end / 2), (0.010, half, -end / 2), 0.002, metal)]
     if design.style == "ball lever":
@@ -177,7 +177,7 @@ def _lever(design: HandleDesign) -> list[Shape]:
 
 
 def _tapered(x: float, end: float, half: float, metal: Material) -> Shape:
-    """A blade that is broad over the pivot and slim, but never less than ``half`` to each side, at its end."""
+    """Returns a blade that is wide at the pivot and narrow at its end, at least ``half`` to each side."""
     ring = []
     for z, y, depth in ((0.013, half + 0.001, 0.007), (0.010, half + 0.004, 0.011), (end, half, 0.009)):
         ring += [(x + sx * depth, sy * y, z) for sx in (-1, 1) for sy in (-0.72, 0.72)]
@@ -186,7 +186,7 @@ def _tapered(x: float, end: float, half: float, metal: Material) -> Shape:
 
 
 def _knob(design: HandleDesign) -> list[Shape]:
-    """A neck, and a turned head whose widest band is where the pads come."""
+    """Returns a neck, and a turned head that is widest at the pads."""
     x, radius = design.standoff, design.thickness / 2
     if design.style == "octagon knob":
         shank = rod((0.002, 0, 0), (x - 0.012, 0, 0), 0.5 * radius, design.metal, round_ends=False)
@@ -204,7 +204,7 @@ def _knob(design: HandleDesign) -> list[Shape]:
 
 
 def lathe(profile: Sequence[tuple[float, float]], material: Material) -> Shape:
-    """The convex hull of rings (x, radius) [m] about the x axis."""
+    """Returns the convex hull of rings (x, radius) [m] about the x axis."""
     angles = (np.arange(SIDES) + 0.5) * 2 * np.pi / SIDES
     around = np.stack([np.cos(angles), np.sin(angles)], axis=-1) / np.cos(np.pi / SIDES)
     rings = [np.column_stack([np.full(SIDES, x), radius * around]) for x, radius in profile]
@@ -212,7 +212,7 @@ def lathe(profile: Sequence[tuple[float, float]], material: Material) -> Shape:
 
 
 def _centred(design: HandleDesign) -> list[Shape]:
-    """A bar across the pivot, or an oval knob: held on the axis by two flat sides."""
+    """Returns a bar across the pivot, or an oval knob; both are gripped on the axis by two flat sides."""
     x, half, metal = design.standoff, design.thickness / 2, design.metal
     neck = rod((0.004, 0, 0), (x, 0, 0), 0.010, metal, round_ends=False)
     if design.style == "cross bar":
@@ -232,14 +232,14 @@ def _centred(design: HandleDesign) -> list[Shape]:
 def plate_shapes(
     design: HandleDesign, y: float, z: float, *, half_width: float, half_length: float, keyhole: bool
 ) -> tuple[Shape, ...]:
-    """What the handle sits on, at (y, z) of the leaf: a rose, or a long plate; decoration, a few millimetres proud.
+    """Returns the handle's plate at (y, z) of the leaf: a rose or a long plate; decoration, a few millimetres thick.
 
     Args:
-        design: of the handle.
-        y: of the pivot in the leaf's frame [m].
-        z: likewise [m].
-        half_width: of a long plate, and radius of a rose [m].
-        half_length: of a long plate [m].
+        design: design of the handle.
+        y: pivot in the leaf's frame [m].
+        z: pivot in the leaf's frame [m].
+        half_width: half width of a long plate, or radius of a rose [m].
+        half_length: half length of a long plate [m].
         keyhole: whether there is a lock below the pivot.
     """
     metal, below = design.metal, z - 0.072

@@ -15,7 +15,7 @@ from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, mark
 GLASS = Material((0.50, 0.66, 0.74), 0.06)
 GLINT = Material((0.74, 0.85, 0.90), 0.06)
 RECESS = 0.011
-"""How far panels lie behind the front of their stiles and rails [m]."""
+"""Depth of panels behind the front of stiles and rails [m]."""
 
 Field = tuple[float, float, float, float]
 """A rectangle on the leaf: u from, u to, v from, v to [m]."""
@@ -23,7 +23,7 @@ Field = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class LeafPlan:
-    """The parameters of one leaf [m]; ``stile`` is the width of its upright members, ``seed`` decides small things."""
+    """Parameters of one leaf [m]; ``stile`` is the width of its vertical members, ``seed`` selects small details."""
 
     width: float
     height: float
@@ -35,7 +35,7 @@ class LeafPlan:
 
 
 def leaf_shapes(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
-    """Returns a leaf that is hinged at y = 0 and extends to -y if ``hinge_side`` is +1, to +y if it is -1."""
+    """Returns a leaf with hinge at y = 0; it extends to -y if ``hinge_side`` is +1, and to +y if it is -1."""
     if plan.style in ("flush", "planks"):
         return _slab(plan, hinge_side)
     fields = _fields(plan)
@@ -57,7 +57,7 @@ def at_field(field: Field, hinge_side: int) -> tuple[float, float, float, float]
 
 
 def _fields(plan: LeafPlan) -> list[Field]:
-    """The openings between stiles and rails, from below."""
+    """Returns the openings between stiles and rails, from bottom to top."""
     left, right, h, s = plan.stile, plan.width - plan.stile, plan.height, plan.stile
     middle, rail = plan.width / 2, 0.9 * plan.stile
     columns = [(left, right)]
@@ -78,7 +78,7 @@ def _fields(plan: LeafPlan) -> list[Field]:
 
 
 def _members(plan: LeafPlan, fields: Sequence[Field]) -> list[Field]:
-    """Stiles over the whole height, and rails (and a muntin) that fill what the fields leave."""
+    """Returns full-height stiles, and the rails (and a muntin) between the fields."""
     left, right = min(f[0] for f in fields), max(f[1] for f in fields)
     members: list[Field] = [(0.0, left, 0.0, plan.height), (right, plan.width, 0.0, plan.height)]
     rows = sorted({(f[2], f[3]) for f in fields})
@@ -97,7 +97,7 @@ def _member(plan: LeafPlan, hinge_side: int, field: Field) -> Shape:
 
 
 def _panel(plan: LeafPlan, hinge_side: int, field: Field) -> list[Shape]:
-    """A recessed panel; on some leaves its middle is raised again, as on a classical door."""
+    """Returns a recessed panel; some leaves have a raised middle, as on a classical door."""
     y, z, a, b = at_field(field, hinge_side)
     back = (plan.thickness - RECESS) / 2
     shapes = [box((-RECESS - back, y, z), (back, a, b), plan.paint)]
@@ -113,7 +113,7 @@ def _bars(plan: LeafPlan) -> tuple[int, int]:
 
 
 def glazing(field: Field, hinge_side: int, thickness: float, paint: Material, *, bars: tuple[int, int]) -> list[Shape]:
-    """A pane with a glint, held by a bead, crossed by ``bars`` (upright, level) glazing bars."""
+    """Returns a pane with a glint in a bead, with ``bars`` (vertical, horizontal) glazing bars."""
     y, z, a, b = at_field(field, hinge_side)
     x = -0.5 * thickness
     shapes = [box((x, y, z), (0.004, a, b), GLASS)]
@@ -129,7 +129,7 @@ def glazing(field: Field, hinge_side: int, thickness: float, paint: Material, *,
 
 
 def _glints(x: float, y: float, z: float, a: float, b: float) -> list[Shape]:
-    """Two slanting streaks of reflected sky: what says glass in a picture without transparency."""
+    """Returns two diagonal reflections, which mark glass in images without transparency."""
     tilt, reach = np.deg2rad(35.0), 0.62 * min(a, b)
     shapes = []
     for offset, half in ((-0.10, 0.16), (0.22, 0.06)):
@@ -140,7 +140,7 @@ def _glints(x: float, y: float, z: float, a: float, b: float) -> list[Shape]:
 
 
 def _slab(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
-    """One board; as planks, with dark joints and two ledges."""
+    """Returns one board; a planked one has dark joints and two ledges."""
     y, z, a, b = at_field((0.0, plan.width, 0.0, plan.height), hinge_side)
     half = plan.thickness / 2
     shapes = [chamfered_box((-half, y, z), (half, a, b), 0.003, plan.paint)]
@@ -154,7 +154,7 @@ def _slab(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
             at = (0.004, y, share * plan.height)
             shapes.append(chamfered_box(at, (0.006, a - 0.016, 0.036), 0.003, plan.paint, collides=False))
     elif plan.seed % 3 == 0:
-        # A vision panel: a narrow upright pane on the hinge side of the handle.
+        # Vision panel: a narrow vertical pane on the hinge side of the handle.
         u0, v0 = 0.36 * plan.width, 0.60 * plan.height
         pane = (u0, u0 + 0.085, v0, 0.90 * plan.height)
         y, z, a, b = at_field(pane, hinge_side)
@@ -165,7 +165,7 @@ def _slab(plan: LeafPlan, hinge_side: int) -> tuple[Shape, ...]:
 
 
 def _slats(plan: LeafPlan, hinge_side: int, field: Field) -> list[Shape]:
-    """Louvres before a dark backing: slats that shed what falls on them."""
+    """Returns louvres in front of a dark backing."""
     y, z, a, b = at_field(field, hinge_side)
     shade = Material(tuple(0.25 * np.asarray(plan.paint.color)), 0.9)
     shapes = [box((-plan.thickness + 0.004, y, z), (0.004, a, b), shade)]

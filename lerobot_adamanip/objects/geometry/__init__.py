@@ -1,1 +1,1 @@
-"""Builders of convex shapes that every generator shares: boxes and rods, things turned on a lathe, round corners."""
+"""Builders of convex shapes for all generators: boxes, rods, turned bodies, rounded corners."""

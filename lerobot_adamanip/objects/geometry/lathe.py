@@ -1,4 +1,4 @@
-"""Shapes turned about a vertical axis: profiles of rings become convex frusta, and decoration follows their surface."""
+"""Bodies of revolution about a vertical axis: profiles of rings become convex frusta, with decoration on them."""
 
 from __future__ import annotations
 
@@ -16,26 +16,26 @@ from lerobot_adamanip.objects.geometry.shapes import convex_mesh
 
 Array = NDArray[np.float64]
 Curves = tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
-"""Of a picture on a surface: (N,) positions along the circumference from the middle, increasing, and (N,) heights of
-its lower and its upper edge there [m]."""
+"""Outline of a picture on a surface [m]: (N,) increasing positions along the circumference, from the middle, and (N,)
+heights of its lower and upper edge."""
 SIDES, SOLID_SIDES, GRIP_SIDES = 48, 16, 32
-"""Of what is seen, of the solids inside it, and of those that fingers press on: they would turn about fewer and wider
-faces from one to the next, with a part that is blocked."""
+"""Number of sides of visible bodies, of the solids inside, and of gripped solids. With fewer, wider faces, fingers
+would turn from one face to the next while the part is blocked."""
 LEAST_SOLID = 0.009
-"""Height of a solid at least, where a profile is that high [m]."""
+"""Minimum height of a solid, if the profile is high enough [m]."""
 PROUD = 0.0004
-"""How far decoration lies above the surface it is on [m]: enough for a depth buffer, too little for an eye."""
+"""Distance of decoration from its surface [m]: sufficient for a depth buffer, invisible to the eye."""
 
 
 @dataclass(frozen=True)
 class Ring:
-    """A horizontal cross-section.
+    """A horizontal cross section.
 
     Attributes:
-        height: [m].
+        height: position along z [m].
         radius: half width along y [m].
-        depth: extent along x as a fraction of that along y; 1 is round.
-        squareness: 0 for an ellipse, 1 for nearly a rectangle.
+        depth: extent along x divided by the extent along y; 1 is round.
+        squareness: 0 for an ellipse, 1 for almost a rectangle.
     """
 
     height: float
@@ -44,13 +44,13 @@ class Ring:
     squareness: float = 0.0
 
     def point(self, angle: ArrayLike, proud: float = 0.0) -> Array:
-        """Returns the points (..., 3) of the outline at angles from +x [rad], ``proud`` [m] outside it."""
+        """Returns outline points (..., 3) at angles from +x [rad], moved outwards by ``proud`` [m]."""
         angle = np.asarray(angle, dtype=np.float64)
         return _outline(self.height, (self.radius, self.depth, self.squareness), angle, proud)
 
 
 def _outline(height: ArrayLike, section: Sequence[ArrayLike], angle: Array, proud: float) -> Array:
-    """Points (..., 3) at heights [m] and angles (...) [rad]; ``section``: radius, depth and squareness there."""
+    """Returns points (..., 3) at heights [m] and angles (...) [rad]; ``section``: radius, depth and squareness."""
     radius, depth, squareness = (np.asarray(values, np.float64) for values in section)
     power = 2.0 + 6.0 * squareness
     cosine, sine = np.cos(angle), np.sin(angle)
@@ -61,13 +61,13 @@ def _outline(height: ArrayLike, section: Sequence[ArrayLike], angle: Array, prou
 
 
 def ring_at(rings: Sequence[Ring], height: float) -> Ring:
-    """Returns the cross-section of a profile at ``height`` [m], interpolated between its rings."""
+    """Returns the cross section of a profile at ``height`` [m], interpolated between its rings."""
     radius, depth, squareness = (float(value) for value in _section_at(rings, height))
     return Ring(height, radius, depth, squareness)
 
 
 def _section_at(rings: Sequence[Ring], height: Array | float) -> list[Array]:
-    """Radius, depth and squareness of a profile at heights [m], in the shape of these."""
+    """Returns radius, depth and squareness of a profile at heights [m], in the shape of the heights."""
     heights = [ring.height for ring in rings]
     values = [[ring.radius, ring.depth, ring.squareness] for ring in rings]
     return [np.asarray(np.interp(np.asarray(height), heights, column)) for column in zip(*values, strict=True)]
@@ -81,18 +81,18 @@ def turned(
     sides: int = SIDES,
     collides: bool = True,
 ) -> tuple[Shape, ...]:
-    """Returns a frustum between each two rings that follow each other, and the solids inside them.
+    """Returns a frustum between each pair of neighbouring rings, and the solids inside them.
 
-    What is seen does not collide. PhysX parts what touches along the shortest way, which for a thin slice is up or
-    down, and invents deep contacts with hair-thin ones; and of a convex shape's corners SAPIEN leaves 64, which ones
-    it decides itself.
+    Visible frusta do not collide. PhysX separates contacts along the shortest way, which for a thin slice is vertical,
+    and reports false deep contacts for very thin slices. SAPIEN also keeps only 64 corners of a convex shape, of its
+    own choice.
 
     Args:
-        rings: from the bottom up.
-        paint: material, or the material at a height [m].
+        rings: profile, from bottom to top.
+        paint: material, or a function of the height [m] that returns one.
         axis: (x, y) of the axis in the link's frame [m].
-        sides: of the polygon that stands for a ring.
-        collides: solid, or decoration.
+        sides: number of sides of a ring's polygon.
+        collides: whether to add solids.
     """
     slices = [(*pair, sides, False) for pair in itertools.pairwise(rings) if pair[1].height - pair[0].height > 1e-6]
     slices += [(*pair, SOLID_SIDES, True) for pair in _inscribed(rings)] if collides else []
@@ -113,7 +113,7 @@ def _frustum(
 
 
 def _inscribed(rings: Sequence[Ring]) -> Iterator[tuple[Ring, Ring]]:
-    """Pairs of rings, not too close, such that what is between them is inside the profile."""
+    """Yields pairs of rings with a minimum distance, whose frusta are inside the profile."""
     kept, top = [rings[0]], rings[-1]
     for ring in rings[1:-1]:
         if min(ring.height - kept[-1].height, top.height - ring.height) >= LEAST_SOLID:
@@ -129,7 +129,7 @@ def _inscribed(rings: Sequence[Ring]) -> Iterator[tuple[Ring, Ring]]:
 
 
 def grip_solid(lower: Ring, upper: Ring, material: Material) -> Shape:
-    """Returns one solid for fingers to press on: it has a flat face towards every grasp of `any_roll`."""
+    """Returns a solid for fingers: it has a flat face for every grasp of `any_roll`."""
     bottom, top = replace(lower, radius=lower.radius - PROUD), replace(upper, radius=upper.radius - PROUD)
     return _frustum(bottom, top, GRIP_SIDES, material, (0.0, 0.0), collides=True)
 
@@ -144,7 +144,7 @@ def fluted(
     groove: float = 0.0007,
     taper: float = 1.0,
 ) -> Shape:
-    """The ribs around a screw cap, as decoration: ``radius`` [m] is that of the ribs' backs, ``groove`` their depth."""
+    """Returns the ribs around a screw cap, as decoration: ``radius`` [m] of the rib backs, ``groove`` depth [m]."""
     angles = np.arange(4 * count) * 2 * np.pi / (4 * count)
     reach = np.where(np.arange(4 * count) % 4 < 2, radius, radius - groove)
     ring = np.stack([reach * np.cos(angles), reach * np.sin(angles)], axis=-1)
@@ -164,20 +164,20 @@ def decal(
     layer: int = 1,
     axis: tuple[float, float] = (0.0, 0.0),
 ) -> Shape:
-    """A picture on a turned surface: a strip between two curves, wrapped around it. Decoration.
+    """Returns a picture on a turned surface, as decoration: a strip between two curves, wrapped around the surface.
 
     Args:
         rings: profile of the surface.
-        curves: see `Curves`; `patch` and `oval` make some.
-        material: look.
+        curves: see `Curves`; `patch` and `oval` create some.
+        material: look of the picture.
         turn: azimuth of the picture's middle from +x [rad].
-        layer: 1 lies on the surface, 2 on that, ...
+        layer: 1 is directly on the surface, 2 on layer 1, and so on.
         axis: (x, y) of the surface's axis in the link's frame [m].
     """
     across, lower, upper = curves
     rows = 9
     heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
-    # One angle per column, so that the edges of a picture on a tapered bottle stay upright.
+    # One angle per column keeps the edges of a picture vertical on a tapered bottle.
     angles = turn + across / ring_at(rings, float(heights.mean())).radius
     points = _outline(heights, _section_at(rings, heights), np.broadcast_to(angles, heights.shape), layer * PROUD)
     index = np.arange(heights.size).reshape(heights.shape)

@@ -1,4 +1,4 @@
-"""Plates and boxes with round corners, bodies of revolution about z, bars for fingers. All pieces convex."""
+"""Rounded plates and boxes, bodies of revolution about z, and bars for fingers. All pieces are convex."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from lerobot_adamanip.objects.base import Material, Shape
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh
 
 SIDES, SMOOTH = 32, 48
-"""Of a small body: two rings of them are the 64 corners that SAPIEN leaves a convex solid. Of a large one."""
+"""Sides of a small and of a large body. Two rings of a small one have the 64 corners that SAPIEN keeps per solid."""
 Extents = Sequence[float]
 """Half extents along x, y and z [m]."""
 _QUARTER = np.linspace(0, np.pi / 2, 9)
 _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-"""Takes a plate's (across, up, out) to (y, z, x): it stands, and faces out of an object's front."""
+"""Rotation from a plate's (across, up, out) to (y, z, x): upright, facing out of an object's front."""
 
 
 def slab(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
-    """A lying plate: corners rounded about z by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
+    """Returns a flat plate: corners rounded by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
     points = _rounded(half, radius, upper_bevel=bevel)
     return convex_mesh(points, transform(center), material, collides=collides)
 
@@ -33,7 +33,7 @@ def slab(
 def plate(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
-    """A standing plate, the twin of `slab`: corners rounded about x, the front rim cut, half extents x, y, z [m]."""
+    """Returns a vertical plate, like `slab`: corners rounded about x, front rim cut, half extents x, y, z [m]."""
     points = _rounded((half[1], half[2], half[0]), radius, upper_bevel=bevel) @ _FRONT.T
     return convex_mesh(points, transform(center), material, collides=collides)
 
@@ -41,7 +41,7 @@ def plate(
 def round_cornered(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.003, collides: bool = True
 ) -> Shape:
-    """A box with vertical edges rounded by ``radius`` and both rims cut by ``bevel``, half extents x, y, z [m]."""
+    """Returns a box with vertical edges rounded by ``radius``, both rims cut by ``bevel``, half extents x, y, z [m]."""
     radius = min(radius, 0.98 * min(half[0], half[1]))
     cut = min(bevel, 0.45 * half[2], 0.9 * radius)
     points = _rounded(half, radius, upper_bevel=cut, lower_bevel=cut)
@@ -49,7 +49,7 @@ def round_cornered(
 
 
 def _rounded(half: Extents, radius: float, *, upper_bevel: float, lower_bevel: float = 0.0) -> NDArray[np.float64]:
-    """Corner points (P, 3) of a plate in the xy plane whose rims are cut."""
+    """Returns the corner points (P, 3) of a plate in the xy plane with cut rims."""
     insets = [(lower_bevel, -half[2]), (0.0, half[2] - upper_bevel), (upper_bevel, half[2])]
     if lower_bevel:
         insets.insert(1, (0.0, lower_bevel - half[2]))
@@ -58,7 +58,7 @@ def _rounded(half: Extents, radius: float, *, upper_bevel: float, lower_bevel: f
 
 
 def _outline(half_x: float, half_y: float, radius: float) -> NDArray[np.float64]:
-    """A rectangle (36, 2) with quarter circles of 9 points at its corners."""
+    """Returns a rectangle (36, 2) with quarter circles of 9 points at its corners."""
     cut = min(radius, 0.999 * min(half_x, half_y))
     arc = cut * np.stack([np.cos(_QUARTER), np.sin(_QUARTER)], axis=-1)
     corner = arc + np.array([half_x - cut, half_y - cut])
@@ -68,7 +68,7 @@ def _outline(half_x: float, half_y: float, radius: float) -> NDArray[np.float64]
 def upright(
     center: ArrayLike, radius: float, half_height: float, material: Material, *, collides: bool = True
 ) -> Shape:
-    """A cylinder about z by its centre [m]."""
+    """Returns a cylinder about z with the given centre [m]."""
     pose = transform(center, rotation_with_x_along((0.0, 0.0, 1.0)))
     return Shape("cylinder", (radius, half_height), pose, material, collides)
 
@@ -81,12 +81,12 @@ def bar(
     squareness: float = 1.0,
     collides: bool = True,
 ) -> Shape:
-    """A convex bar along x, with two faces square to y for the fingers.
+    """Returns a convex bar along x, with two faces perpendicular to y for the fingers.
 
     Args:
         stations: (x, z, half width along y, half height along z) [m] of each cross section.
-        material: look.
-        sides: of a cross section.
+        material: look of the bar.
+        sides: number of sides of a cross section.
         squareness: 1 for an ellipse; 0.5 for a rectangle with round corners.
         collides: see `Shape`.
     """
@@ -111,7 +111,7 @@ def revolved(
     sides: int = SIDES,
     collides: bool = True,
 ) -> Shape:
-    """The convex body of revolution about the z through ``center`` whose outline goes through (radius, height) [m]."""
+    """Returns the convex body of revolution about the z axis through ``center``, with outline (radius, height) [m]."""
     angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     circle = np.stack([np.cos(angles), np.sin(angles), np.zeros(sides)], axis=-1)
     rings = [radius * circle + (0.0, 0.0, height) for radius, height in profile if radius > 0]
@@ -122,7 +122,7 @@ def revolved(
 def shell(
     center: ArrayLike, profile: Sequence[tuple[float, float]], thickness: float, material: Material, *, sides: int = 40
 ) -> tuple[Shape, ...]:
-    """A wall along a profile of (radius, height) pairs [m] turned about z: hollow, made of convex staves."""
+    """Returns a hollow wall: a profile of (radius, height) pairs [m] revolved about z, as convex staves."""
     half_angle = np.pi / sides
     pieces = []
     for (r0, z0), (r1, z1) in pairwise(profile):
@@ -132,7 +132,7 @@ def shell(
             for angle in (-half_angle, half_angle)
         ]
         stave = convex_mesh(np.asarray(corners), np.eye(4), material)
-        # One mesh in many poses: it is written, and loaded, once.
+        # One mesh in many poses is written and loaded only once.
         pieces += [
             replace(stave, pose_in_link=transform(center, rotation_about((0, 0, 1), 2 * half_angle * k)))
             for k in range(sides)

@@ -14,18 +14,18 @@ from lerobot_adamanip.contract.rotations import rotation_about, rotation_with_x_
 from lerobot_adamanip.objects.base import Material, Shape
 
 _NO_AREA = 2e-14
-"""Twice the area of a facet that is none, but rounding [m^2]."""
+"""Twice the area below which a facet counts as degenerate [m^2]."""
 
 
 def box(center: ArrayLike, half: Sequence[float], material: Material, *, collides: bool = True) -> Shape:
-    """A sharp-edged box by its centre and half extents [m]."""
+    """Returns a sharp-edged box with the given centre and half extents [m]."""
     return Shape("box", tuple(float(h) for h in half), transform(center), material, collides)
 
 
 def chamfered_box(
     center: ArrayLike, half: Sequence[float], chamfer: float, material: Material, *, collides: bool = True
 ) -> Shape:
-    """A box whose edges are cut by ``chamfer`` [m]: what catches the light on a real product."""
+    """Returns a box with edges cut by ``chamfer`` [m], which catch light as on a real product."""
     extent = np.asarray(half, dtype=np.float64)
     cut = min(chamfer, 0.45 * float(extent.min()))
     signs = np.array(np.meshgrid([-1, 1], [-1, 1], [-1, 1], indexing="ij")).reshape(3, -1).T
@@ -37,21 +37,21 @@ def chamfered_box(
 def convex_mesh(
     points: NDArray[np.float64], pose_in_link: NDArray[np.float64], material: Material, *, collides: bool = True
 ) -> Shape:
-    """The convex hull of points (P, 3) [m] as a mesh shape with outward faces."""
+    """Returns the convex hull of points (P, 3) [m] as a mesh shape with outward faces."""
     vertices, faces = convex_hull(np.asarray(points, np.float64))
     return Shape("mesh", (), pose_in_link, material, collides, vertices.astype(np.float32), faces.astype(np.int32))
 
 
 def convex_hull(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Returns vertices (V, 3) and outward faces (F, 3) of the convex hull of points (P, 3), as trimesh has them.
+    """Returns vertices (V, 3) and outward faces (F, 3) of the convex hull of points (P, 3), equal to trimesh's.
 
-    An object has dozens of hulls; trimesh also measures each one, which takes ten times as long.
+    An object has dozens of hulls. trimesh also measures each one and takes ten times as long.
     """
     hull = ConvexHull(points, qhull_options="QbB Pp Qt")
     corners = points[hull.simplices]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     real = np.linalg.norm(normals, axis=1) > _NO_AREA
-    inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0  # Qhull winds its facets either way
+    inward = np.einsum("fi,fi->f", normals, hull.equations[:, :3]) < 0  # Qhull has no fixed winding
     faces = np.where(inward[:, None], hull.simplices[:, ::-1], hull.simplices)[real]
     kept = np.sort(hull.vertices)
     return points[kept], np.searchsorted(kept, faces)
@@ -60,7 +60,7 @@ def convex_hull(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 def prism(
     center: ArrayLike, radius: float, half_length: float, sides: int, material: Material, *, top: float = 1.0
 ) -> Shape:
-    """A prism about x with ``sides`` faces, one face pair square to y; ``top`` scales the far end (a taper)."""
+    """Returns a prism about x, one face pair perpendicular to y; ``top`` scales the far end (a taper)."""
     angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.zeros(sides), np.cos(angles), np.sin(angles)], axis=-1)
     points = np.concatenate([ring - (half_length, 0, 0), ring * top + (half_length, 0, 0)])
@@ -68,7 +68,7 @@ def prism(
 
 
 def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, round_ends: bool = True) -> Shape:
-    """A capsule (or cylinder) of ``radius`` [m] between two points."""
+    """Returns a capsule (or cylinder) of ``radius`` [m] between two points."""
     first, last = np.asarray(start, dtype=np.float64), np.asarray(end, dtype=np.float64)
     length = float(np.linalg.norm(last - first))
     pose = transform((first + last) / 2, rotation_with_x_along(last - first))
@@ -78,7 +78,7 @@ def rod(start: ArrayLike, end: ArrayLike, radius: float, material: Material, *, 
 def ball_bar(
     grip: Sequence[float], half: float, radii: tuple[float, float, float], material: Material
 ) -> tuple[Shape, ...]:
-    """An upright handle in front of x = 0, with a ball at each end: ``radii`` of bar, balls and stems [m]."""
+    """Returns an upright handle in front of x = 0 with a ball at each end: ``radii`` of bar, balls and stems [m]."""
     x, y, z = grip
     bar, ball, stem = radii
     tips = [np.array([x, y, z + side * half]) for side in (-1, 1)]
@@ -90,24 +90,24 @@ def ball_bar(
 def disk(
     center: ArrayLike, radius: float, half_thickness: float, material: Material, *, collides: bool = True
 ) -> Shape:
-    """A cylinder about x (facing out of an object's front)."""
+    """Returns a cylinder about x (facing out of an object's front)."""
     return Shape("cylinder", (radius, half_thickness), transform(center), material, collides)
 
 
 mark, dot = partial(box, collides=False), partial(disk, collides=False)
-"""A box, and a disk, as decoration."""
+"""Box and disk without collision."""
 
 
 def without_collision(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
-    """The same shapes as decoration."""
+    """Returns the shapes without collision."""
     return tuple(replace(shape, collides=False) for shape in shapes)
 
 
 def moved(shapes: Sequence[Shape], pose: NDArray[np.float64]) -> tuple[Shape, ...]:
-    """The shapes moved by ``pose`` (4, 4) in their link's frame."""
+    """Returns the shapes moved by ``pose`` (4, 4) in their link's frame."""
     return tuple(replace(shape, pose_in_link=pose @ shape.pose_in_link) for shape in shapes)
 
 
 def rotated(shapes: Sequence[Shape], axis: tuple[float, float, float], angle: float) -> tuple[Shape, ...]:
-    """The shapes turned by ``angle`` [rad] about an axis through their link's origin."""
+    """Returns the shapes rotated by ``angle`` [rad] about an axis through their link's origin."""
     return moved(shapes, transform(rotation=rotation_about(axis, angle)))

@@ -1,7 +1,7 @@
 """Lamps for desk and bedside: a base, a stem behind or beside the switch, a head; the switch is a button or a knob.
 
-Nobody sees which: the mechanism draws it per episode, and the geometry is the same. The switch stands apart from stem
-and head, because a hand that turns it from above sweeps a circle of 21 cm.
+The type is hidden: the mechanism samples it per episode, and the geometry is the same. The switch stands apart from
+stem and head, because a hand that turns it from above sweeps a circle of 21 cm.
 """
 
 from __future__ import annotations
@@ -29,25 +29,24 @@ from lerobot_adamanip.objects.lamp.heads import BRASS, HAND_CLEARANCE, HEADS, ME
 BASE_STYLES = ("plate", "block", "stadium", "discs")
 KNOB_STYLES = ("smooth", "knurled", "faceted")
 CAP_HEIGHT = 0.034
-"""Height of the part of the switch that is held [m]."""
+"""Height of the graspable part of the switch [m]."""
 GRIP_DEPTH = 0.013
-"""Of the tool centre point below the top of the switch [m]."""
+"""Depth of the tool centre point below the top of the switch [m]."""
 SPRING, SPRING_REST = 150.0, -0.012
-"""The button's spring [N/m], slack above its rest position [m]: it carries the cap with 1.8 N and brings it back."""
+"""Spring of the button [N/m], and its slack position above rest [m]: it supports the cap with 1.8 N and returns it."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class LampDesign:
-    """The parameters of one lamp [m, rad].
+    """Parameters of one lamp [m, rad].
 
     Attributes:
-        bearing: direction in which the stem stands from the switch, from straight behind it; half a turn to the right
-            and left is all there could be.
-        distance: of the stem's foot from the switch.
-        head: style, size and colours of all above the base.
-        thickness: of the base.
-        travel: of the switch as a button.
-        turn_range: of the switch as a knob, to either side.
+        bearing: direction from the switch to the stem, relative to straight backwards [rad].
+        distance: distance of the stem's foot from the switch.
+        head: style, size and colours of everything above the base.
+        thickness: thickness of the base.
+        travel: travel of the switch as a button.
+        turn_range: range of the switch as a knob, to either side.
     """
 
     drawn: tuple[float, Head] = computed(
@@ -69,11 +68,11 @@ class LampDesign:
 
     @property
     def knob_margin(self) -> float:
-        """From the switch's axis to the edge of the base [m]."""
+        """Distance from the switch's axis to the edge of the base [m]."""
         return self.knob_radius + 0.022
 
     def place(self) -> Place:
-        """Returns where stem and switch stand on the base, whose front is at x = 0 and whose middle at y = 0."""
+        """Returns the positions of stem and switch on the base, with front x = 0 and middle y = 0."""
         away = np.array([-np.cos(self.bearing), np.sin(self.bearing)])
         foot, foot_margin = self.distance * away, self.head.foot_margin
         lower = np.minimum(-self.knob_margin, foot - foot_margin)
@@ -86,7 +85,7 @@ def _draw_bearing(rng: np.random.Generator, head: Head) -> tuple[float, Head]:
     bearing = rng.uniform(-0.4, 0.4)
     if rng.random() < 0.4 and head.style not in WIDE:
         bearing = rng.choice([-1, 1]) * rng.uniform(1.15, 1.5)
-        # An arm beside the switch reaches back: in front of it is the robot's own.
+        # An arm beside the switch points backwards: the robot's arm is in front of it.
         head = replace(head, side=int(np.sign(bearing)))
     return float(bearing), head
 
@@ -98,7 +97,7 @@ def _draw_base(rng: np.random.Generator, style: str, metal: Material) -> Materia
 
 
 def build_lamp(object_id: str, design: LampDesign) -> ArticulatedObject:
-    """Builds links and annotation of a design: joints ``button`` and ``knob``, both under the one part ``knob``."""
+    """Builds links and annotation of a design: joints ``button`` and ``knob``, both carrying the part ``knob``."""
     place = design.place()
     body = _base_shapes(design, place) + design.head.shapes(place)
     switch = (float(place.switch[0]), float(place.switch[1]), design.thickness)
@@ -155,7 +154,7 @@ def _base_shapes(design: LampDesign, place: Place) -> tuple[Shape, ...]:
 
 
 def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
-    """The shaft under the cap, which sinks into the base; looks only, the cap is what is held."""
+    """Returns the shaft under the cap, which sinks into the base; decoration, because the cap is gripped."""
     end, radius = (0, 0, top - CAP_HEIGHT), design.knob_radius
     shaft = rod((0, 0, 0.0), end, 0.62 * radius, METALS[0], round_ends=False)
     collar = rod((0, 0, top - CAP_HEIGHT - 0.004), end, 0.85 * radius, METALS[1], round_ends=False)
@@ -163,7 +162,7 @@ def _plunger_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
 
 
 def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
-    """The cap: the same from every side in which fingers may close, and mirrored for both directions of turning."""
+    """Returns the cap: equal from every grasp side, and symmetric for both turning directions."""
     radius, low = design.knob_radius, top - CAP_HEIGHT
     sides = {"faceted": 8, "fluted": 16}.get(design.knob_style, 32)
     profile = ((radius, low), (radius, top - 0.004), (radius - 0.003, top))
@@ -181,7 +180,7 @@ def _knob_shapes(design: LampDesign, top: float) -> tuple[Shape, ...]:
 
 
 def _bounds(shapes: tuple[Shape, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lower and upper corner (3,) of the box around shapes [m]."""
+    """Returns the lower and upper corner (3,) of the box around shapes [m]."""
     corners = []
     for shape in shapes:
         if shape.vertices is not None:

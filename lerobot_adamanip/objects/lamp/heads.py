@@ -1,4 +1,4 @@
-"""What stands on a lamp's base: stems, shades, globes, arms. All of it solid, and clear of a hand at the switch."""
+"""Lamp heads: stems, shades, globes, arms. All of them collide and stay clear of a hand at the switch."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lerobot_adamanip.objects.geometry.rounded import revolved, shell
 from lerobot_adamanip.objects.geometry.shapes import convex_mesh, rod
 
 HAND_CLEARANCE = 0.135
-"""Kept free around the switch's axis [m]: half of a hand 20 cm wide, and what its approach may be off."""
+"""Free radius around the switch's axis [m]: half of a hand 20 cm wide, plus the approach error."""
 BRASS = Material((0.72, 0.53, 0.20), 0.3, 0.9)
 METALS = (
     Material((0.72, 0.72, 0.73), 0.28, 0.9), Material((0.045, 0.045, 0.048), 0.5, 0.2), BRASS,
@@ -36,7 +36,7 @@ _BANKER = (Material((0.02, 0.26, 0.12), 0.15), Material((0.02, 0.09, 0.30), 0.15
 
 @dataclass(frozen=True)
 class Place:
-    """Where things stand on a base [m].
+    """Positions on a lamp's base [m].
 
     Attributes:
         switch, foot: (2,) of the switch's and the stem's axes.
@@ -52,21 +52,21 @@ class Place:
     top: float
 
     def at(self, back: float, aside: float, up: float) -> NDArray[np.float64]:
-        """Returns the point (3,) so far behind, beside and above the stem's foot, as seen from the switch [m]."""
+        """Returns the point (3,) behind, beside and above the stem's foot, as seen from the switch [m]."""
         side = np.array([-self.away[1], self.away[0]])
         return np.array([*(self.foot + back * self.away + aside * side), self.top + up])
 
 
 @dataclass(frozen=True)
 class Head:
-    """Style, size and colours of all above the base.
+    """Style, size and colours of everything above the base.
 
     Attributes:
-        radius: of shade or globe, as far as it comes towards the switch [m].
-        height: of the whole above the base [m].
+        radius: extent of shade or globe towards the switch [m].
+        height: total height above the base [m].
         stem: radius of the stem [m].
-        lean: how far the stem leans away from the switch at its top [m].
-        side: to which side arms and bars go.
+        lean: offset of the stem's top away from the switch [m].
+        side: side of arms and bars.
     """
 
     style: str
@@ -80,7 +80,7 @@ class Head:
 
     @classmethod
     def drawn(cls, rng: np.random.Generator, style: str) -> Head:
-        """Draws sizes and colours that suit a style."""
+        """Samples sizes and colours for a style."""
         low, high = _RADII[style]
         slender = style not in ("gourd", "mushroom", "lantern")
         fabric = style in ("drum", "empire", "gourd")
@@ -100,16 +100,16 @@ class Head:
 
     @property
     def foot_margin(self) -> float:
-        """From the stem's axis to the edge of the base [m]."""
+        """Distance from the stem's axis to the edge of the base [m]."""
         return {"lantern": self.radius + 0.012, "gourd": 0.068, "mushroom": 0.070}.get(self.style, 0.058)
 
     def clear_distance(self, clearance: float) -> float:
-        """Returns how far from the switch the stem has to stand, so that nothing comes nearer than ``clearance``."""
+        """Returns the distance of the stem from the switch at which everything keeps ``clearance`` to the switch."""
         thickest = max(self.stem, 0.012) if self.style != "gourd" else 0.052
         return max(clearance + thickest + 0.004, clearance + self.radius - self.lean)
 
     def shapes(self, place: Place) -> tuple[Shape, ...]:
-        """Builds it on a base."""
+        """Builds the head on a base."""
         return HEADS[self.style](self, place)
 
 
@@ -120,7 +120,7 @@ def _stem(head: Head, place: Place, up: float) -> tuple[Shape, ...]:
 
 
 def _fabric(head: Head, place: Place, taper: float) -> tuple[Shape, ...]:
-    """A hollow shade on a spider, with its bulb."""
+    """Returns a hollow shade on a spider, with its bulb."""
     tall = min(0.17, 2.0 * head.radius)
     low, across = head.height - tall, 0.92 * taper * head.radius
     top = place.at(head.lean, 0, low)
@@ -143,7 +143,7 @@ def _empire(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _gourd(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A ceramic body of two bellies under a fabric shade."""
+    """Returns a ceramic body of two bellies under a fabric shade."""
     glaze = Material(head.shade.color, 0.15) if sum(head.shade.color) < 1.8 else Material((0.10, 0.24, 0.34), 0.12)
     foot = place.at(0, 0, 0)
     lower = revolved(foot, ((0.034, 0.0), (0.047, 0.025), (0.052, 0.05), (0.044, 0.08), (0.022, 0.105)), glaze)
@@ -161,7 +161,7 @@ def _globe(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _mushroom(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A dome on a thick column."""
+    """Returns a dome on a thick column."""
     tall = 0.72 * head.radius
     low = place.at(0, 0, 0.85 * head.height - tall)
     arc = np.linspace(0, 0.5 * np.pi, 7)
@@ -174,7 +174,7 @@ def _mushroom(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _lantern(head: Head, place: Place) -> tuple[Shape, ...]:
-    """An opal cylinder between two rims."""
+    """Returns an opal cylinder between two rims."""
     wood = WOODS[0] if head.side > 0 else head.metal
     rim = ((head.radius, 0.0), (head.radius, 0.012), (head.radius - 0.002, 0.014))
     rims = [revolved(place.at(0, 0, up), rim, wood, sides=40) for up in (0.0, head.height - 0.014)]
@@ -185,7 +185,7 @@ def _lantern(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _banker(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A trough of coloured glass across a brass stem."""
+    """Returns a trough of coloured glass across a brass stem."""
     up, half = head.height - 0.02, 0.115
     arc = np.linspace(-0.12 * np.pi, 0.86 * np.pi, 12)
     profile = np.column_stack([head.radius * np.cos(arc), 0.82 * head.radius * np.sin(arc)])
@@ -201,7 +201,7 @@ def _banker(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _bar(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A slim LED bar across the top of the stem, or to one side of it."""
+    """Returns a slim LED bar across the top of the stem, or to one side of it."""
     up = head.height
     reach = (-0.05, 0.23) if head.radius < 0.0095 else (-0.15, 0.15)
     ends = [place.at(0, head.side * b, up) for b in reach]
@@ -214,7 +214,7 @@ def _bar(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _ring(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A hoop of light on a short stem."""
+    """Returns a light ring on a short stem."""
     across = 0.42 * (head.height - 0.08)
     middle = head.height - across
     angles = np.linspace(0, 2 * np.pi, 29)
@@ -226,7 +226,7 @@ def _ring(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _cone(head: Head, tip: NDArray[np.float64], points_to: ArrayLike, radius: float) -> tuple[Shape, ...]:
-    """A reflector of ``radius`` [m] that opens towards a direction (3,), with its bulb."""
+    """Returns a reflector of ``radius`` [m] that opens towards a direction (3,), with its bulb."""
     turn = rotation_with_x_along(points_to) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     profile = ((0.016, -0.012), (0.022, 0.004), (0.55 * radius + 0.012, 0.028), (radius, 0.085))
     bulb = ((0.86 * radius, 0.080), (0.86 * radius, 0.087))
@@ -235,7 +235,7 @@ def _cone(head: Head, tip: NDArray[np.float64], points_to: ArrayLike, radius: fl
 
 
 def _architect(head: Head, place: Place) -> tuple[Shape, ...]:
-    """Two jointed arms of parallel rods, and a reflector."""
+    """Returns two jointed arms of parallel rods, and a reflector."""
     s, tall = head.side, head.height
     foot, elbow = place.at(0, 0, 0.02), place.at(0.035, -s * 0.05, 0.56 * tall)
     tip = place.at(0.045, s * 0.09, 0.92 * tall)
@@ -250,7 +250,7 @@ def _architect(head: Head, place: Place) -> tuple[Shape, ...]:
 
 
 def _gooseneck(head: Head, place: Place) -> tuple[Shape, ...]:
-    """A neck that bends over to one side."""
+    """Returns a neck that bends to one side."""
     bend, s = 0.065, head.side
     straight = head.height - bend
     angles = np.linspace(0, 0.86 * np.pi, 12)
@@ -270,4 +270,4 @@ _RADII = {
 }  # fmt: skip
 _LEANING = ("drum", "empire", "globe", "banker")
 WIDE = ("banker", "bar", "ring")
-"""Reach out to both sides of the stem: they stand behind the switch, not beside it."""
+"""Styles that extend to both sides of the stem; they stand behind the switch, not beside it."""

@@ -23,7 +23,7 @@ class NovelHead(Head):
     """A head in one of the styles of `RADII`."""
 
     def shapes(self, place: Place) -> tuple[Shape, ...]:
-        """Builds it on a base, straight above the stem's foot."""
+        """Builds the head on a base, straight above the stem's foot."""
         build = {"pagoda": self._pagoda, "stack": self._stack, "candle": self._candle, "tulip": self._tulip}
         return build[self.style](place)
 
@@ -32,7 +32,7 @@ class NovelHead(Head):
         return (collar, rod(place.at(0, 0, 0), place.at(0, 0, up), self.stem, self.metal, round_ends=False))
 
     def _pagoda(self, place: Place) -> tuple[Shape, ...]:
-        """Three roofs over each other, each with its light."""
+        """Returns three roofs, one above the other, each with a light."""
         shapes = list(self._stem(place, self.height))
         for level, share in ((0.50, 1.0), (0.68, 0.82), (0.86, 0.64)):
             low, r = level * self.height, share * self.radius
@@ -42,7 +42,7 @@ class NovelHead(Head):
         return tuple(shapes)
 
     def _stack(self, place: Place) -> tuple[Shape, ...]:
-        """Three globes, each smaller than the one below."""
+        """Returns three globes, each smaller than the one below."""
         shapes, up = list(self._stem(place, 0.36 * self.height)), 0.36 * self.height
         for share in (1.0, 0.78, 0.56):
             r = share * self.radius
@@ -52,7 +52,7 @@ class NovelHead(Head):
         return tuple(shapes)
 
     def _candle(self, place: Place) -> tuple[Shape, ...]:
-        """A thick candle in a dish, with its flame."""
+        """Returns a thick candle in a dish, with its flame."""
         dish_radius, up = self.radius, 0.30 * self.height
         r, outline = 0.53 * dish_radius, ((0.2 * dish_radius, 0.0), (dish_radius, 0.012), (dish_radius, 0.016))
         dish = revolved(place.at(0, 0, up), outline, self.metal)
@@ -61,7 +61,7 @@ class NovelHead(Head):
         return (*self._stem(place, up), dish, wax, revolved(place.at(0, 0, up + 0.142), flame, _GLOW))
 
     def _tulip(self, place: Place) -> tuple[Shape, ...]:
-        """A cup that opens upwards, with a globe in it."""
+        """Returns a cup that opens upwards, with a globe in it."""
         r, up = self.radius, self.height - 0.13
         cup = ((0.014, 0.0), (0.66 * r, 0.022), (0.92 * r, 0.055), (r, 0.095))
         ball = place.at(0, 0, up + 0.092)
@@ -73,7 +73,7 @@ class NovelHead(Head):
 
 
 def draw_novel_design(rng: np.random.Generator) -> LampDesign:
-    """Draws a lamp with a head, a base and a switch in new styles."""
+    """Samples a lamp with head, base and switch in new styles."""
     base = draw(LampDesign, rng)
     style = str(rng.choice(list(RADII)))
     shade = Material(_COLORS[rng.integers(len(_COLORS))], 0.4)

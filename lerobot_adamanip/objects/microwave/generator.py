@@ -1,4 +1,4 @@
-"""Microwave ovens: a door with a window and a bar handle, and a control panel with the button that may release it.
+"""Microwave ovens: a door with window and bar handle, and a control panel with a button that may release the door.
 
 Sizes follow countertop ovens of 17 to 28 litres.
 """
@@ -31,13 +31,13 @@ GAP = 0.003
 DOOR_UPPER = 1.578
 """Opening limit of the door [rad] (paper code: 1.578)."""
 GRASP_REACH = 0.052
-"""Distance of the handle's grip from the door [m]: room for the hand's body in front of the panel."""
+"""Distance of the handle's grip from the door [m]; leaves space for the hand in front of the panel."""
 FINGER_TIP = 0.010
-"""How far the fingers reach beyond the tool centre point [m]: closed, they push with their tips."""
+"""Length of the fingers beyond the tool centre point [m]; closed fingers push with their tips."""
 POCKET = 0.045
 """Depth of the well behind the button [m]."""
 SPRING, SPRING_REST = 250.0, -0.01
-"""Stiffness of the button's spring [N/m], and where it is slack [m]: it presses the button out with 2.5 N."""
+"""Stiffness of the button's spring [N/m] and its slack position [m]; presses the button outwards with 2.5 N."""
 HANDLE_STYLES = ("round bar", "flat bar", "bow", "pull")
 BUTTON_STYLES = ("bar", "round", "square")
 NOVEL_HANDLE_STYLES = ("fin", "ball bar")
@@ -63,10 +63,10 @@ class MicrowaveDesign:
     Attributes:
         hinge_side: -1 hinges on the left as seen from the front (y < 0), +1 on the right.
         panel: width of the control panel.
-        handle_inset: of the grip from the door's free edge.
+        handle_inset: distance of the grip from the door's free edge.
         handle_z, button_z: heights above the oven's underside.
         button_half: half extents (y, z) of the button's face.
-        button_out: how far the face stands out of the panel; less than `button_travel` by a millimetre or so.
+        button_out: protrusion of the face from the panel; about a millimetre less than `button_travel`.
     """
 
     width: float = computed(lambda rng, d: rng.uniform(*((0.38, 0.43) if rng.random() < 0.35 else (0.43, 0.49))))
@@ -95,7 +95,7 @@ class MicrowaveDesign:
         return self.width - self.panel - GAP
 
     def y(self, u: float) -> float:
-        """Returns the y of a point ``u`` [m] away from the hinge side of the front."""
+        """Returns the y of a point ``u`` [m] from the hinge side of the front."""
         return self.hinge_side * (self.width / 2 - u)
 
     @property
@@ -105,12 +105,12 @@ class MicrowaveDesign:
 
     @property
     def panel_y(self) -> float:
-        """Middle of the panel [m]."""
+        """Centre y of the panel [m]."""
         return self.y(self.width - self.panel / 2)
 
 
 def draw_novel_design(rng: np.random.Generator) -> MicrowaveDesign:
-    """Draws a small or a large oven of new proportions, with new handle, button and window."""
+    """Samples a small or large oven with new proportions, handle, button and window."""
     base = draw(MicrowaveDesign, rng)
     width = rng.uniform(0.35, 0.375) if rng.random() < 0.5 else rng.uniform(0.495, 0.52)
     height = rng.uniform(0.30, 0.335)
@@ -146,7 +146,7 @@ def build_microwave(object_id: str, design: MicrowaveDesign) -> ArticulatedObjec
     face = (design.button_out + FINGER_TIP, design.panel_y, design.foot + design.button_z)
     parts = (
         annotate(links, "leaf", "handle", facing(grip)),
-        # Fingers one above the other: the hand's body is 20 cm long that way, and would meet the handle the other way.
+        # Fingers one above the other: the hand is 20 cm long in this direction, and would otherwise hit the handle.
         annotate(links, "button", "button", facing(face, np.pi / 2)),
     )
     look, side = design.look, "left" if design.hinge_side < 0 else "right"
@@ -177,7 +177,7 @@ def _body_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
     """Cabinet, cavity, control panel around the button's well, vents and feet."""
     w, h, d, t = design.width, design.height, design.depth, WALL / 2
     z, body = design.foot + h / 2, design.look.body
-    # The door lies on the cabinet; the panel stands beside it.
+    # The door covers the cabinet; the panel is beside it.
     front, back = -DOOR_THICKNESS - 0.002, -d
     middle, half = (front + back) / 2, (front - back) / 2
     cavity = w - design.panel - WALL
@@ -186,7 +186,7 @@ def _body_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
         chamfered_box((middle, 0, design.foot + h - t), (half, w / 2, t), 0.004, body),
         chamfered_box((middle, design.y(t), z), (half, t, h / 2), 0.004, body),
         box((back + t, 0, z), (t, w / 2 - t, h / 2 - t), body),
-        # The compartment of the electronics, behind the panel.
+        # Compartment of the electronics, behind the panel.
         box(
             ((back - POCKET) / 2, design.y(w - design.panel / 2), z),
             ((-POCKET - back) / 2, design.panel / 2, h / 2 - 0.001),
@@ -219,7 +219,7 @@ def _turntable(design: MicrowaveDesign, x: float, u: float, bottom: float) -> tu
 
 
 def _panel_block(design: MicrowaveDesign) -> tuple[Shape, ...]:
-    """Four blocks around the well that the button sinks into, and what is printed on them."""
+    """Four blocks around the button's well, with the printed controls."""
     face, w, h = design.look.panel, design.panel, design.height
     y, low, high = design.panel_y, design.foot, design.foot + h
     bz, (by, bh) = design.foot + design.button_z, design.button_half

@@ -1,4 +1,4 @@
-"""How microwaves look: colours, control panels, door windows and handles. Decoration, the handle apart."""
+"""Appearance of microwaves: colours, control panels, door windows and handles. Only the handle collides."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ class Look:
     clock: str = "1200"
 
     def varied(self, rng: np.random.Generator) -> Look:
-        """Returns the look with the shade, the display and, where it fits, window and controls drawn anew."""
+        """Returns the look with newly sampled shade and display and, where they fit, window and controls."""
         shade = rng.uniform(0.85, 1.12)
         controls, window = self.controls, self.window
         if self.controls in ("keypad", "dials", "touch") and rng.random() < 0.5:
@@ -104,7 +104,7 @@ LOOKS = (
 
 @dataclass(frozen=True)
 class Face:
-    """Where controls may go: the middle's y, lower and upper edge z, and width [m]; the face is x = 0."""
+    """Area for controls: centre y, lower and upper edge z, and width [m]; the face is x = 0."""
 
     y: float
     low: float
@@ -113,7 +113,7 @@ class Face:
 
 
 def panel_shapes(look: Look, face: Face) -> tuple[Shape, ...]:
-    """What is on the control panel above the button, from its top down."""
+    """Returns the controls on the panel above the button, from top to bottom."""
     pale = sum(look.panel.color) > 0.9
     display_z = face.high - 0.030
     half_w = 0.5 * face.width - 0.016
@@ -142,7 +142,7 @@ def panel_shapes(look: Look, face: Face) -> tuple[Shape, ...]:
 
 
 def _keys(face: Face, top: float, material: Material, proud: float, scale: float) -> tuple[Shape, ...]:
-    """Rows of three keys, and one long green key below."""
+    """Returns rows of three keys, and one long green key below."""
     half_w = 0.5 * face.width - 0.016
     rows = int(np.clip((top - face.low) // 0.0165, 2, 6))
     step_z, step_y = (top - face.low) / rows, 2 * half_w / 3
@@ -157,7 +157,7 @@ def _keys(face: Face, top: float, material: Material, proud: float, scale: float
 
 
 def _clock(look: Look, y: float, z: float) -> tuple[Shape, ...]:
-    """Four digits of seven segments with a colon; they read from left to right for who stands in front."""
+    """Returns four seven-segment digits with a colon, readable from the front."""
     ink = Material(_INKS[look.ink], 0.4)
     half_w, half_h, line = 0.0032, 0.0060, 0.0009
     spots = {
@@ -175,7 +175,7 @@ def _clock(look: Look, y: float, z: float) -> tuple[Shape, ...]:
 
 
 def _dial(look: Look, y: float, z: float, radius: float, pale: bool) -> tuple[Shape, ...]:
-    """A rotary dial with a scale around it: printed on, it belongs to the body."""
+    """Returns a rotary dial with a scale around it, as a static print on the body."""
     ink = _paint((0.05, 0.05, 0.055)) if pale else _paint((0.75, 0.75, 0.74))
     cap = look.trim if look.controls == "retro" or not pale else _paint((0.68, 0.69, 0.70))
     shapes = [
@@ -190,13 +190,13 @@ def _dial(look: Look, y: float, z: float, radius: float, pale: bool) -> tuple[Sh
 
 
 def door_front(look: Look, middle: float, half: tuple[float, float], free: float, free_side: int) -> tuple[Shape, ...]:
-    """Window with its mesh, frame and name plate, on a door whose front is x = 0 (door frame: hinge at the origin).
+    """Returns window, mesh, frame and name plate of a door with front x = 0, in the door frame (origin at the hinge).
 
     Args:
-        look: of the oven.
+        look: look of the oven.
         middle: y of the door's middle [m].
         half: half extents (y, z) of the door [m].
-        free: strip at the free edge that belongs to the handle [m].
+        free: width of the handle's strip at the free edge [m].
         free_side: sign of y at the free edge.
     """
     rim, (half_w, half_h) = 0.030, half
@@ -218,7 +218,7 @@ def door_front(look: Look, middle: float, half: tuple[float, float], free: float
 
 
 def _mesh(y: float, half_w: float, half_h: float, radius: float) -> list[Shape]:
-    """The screen that keeps the microwaves in: fine lines behind the glass, shorter towards round corners."""
+    """Returns the shielding mesh: fine lines behind the glass, shortened at round corners."""
     line = Material((0.05, 0.052, 0.055), 0.6)
     shapes = []
     for v in np.linspace(-1, 1, max(5, int(half_h / 0.0054)) | 1):
@@ -231,7 +231,7 @@ def _mesh(y: float, half_w: float, half_h: float, radius: float) -> list[Shape]:
 
 
 def _corner(along: float, half: float, radius: float) -> float:
-    """Returns how much a round corner takes off a line ``along`` [m] from the middle."""
+    """Returns the length that a round corner removes from a line ``along`` [m] from the middle."""
     into = along - (half - radius)
     return 0.0 if into <= 0 else radius - float(np.sqrt(max(radius**2 - into**2, 0.0)))
 
@@ -239,14 +239,14 @@ def _corner(along: float, half: float, radius: float) -> float:
 def handle_shapes(
     style: str, grip: tuple[float, float, float], length: float, radius: float, material: Material
 ) -> tuple[Shape, ...]:
-    """An upright handle that stands off the door; all of it solid.
+    """Returns an upright handle at a distance from the door; all shapes collide.
 
     Args:
         style: ``round bar``, ``flat bar``, ``bow``, ``pull``, ``fin`` or ``ball bar``.
-        grip: (3,) its middle, door frame [m].
-        length: of the handle [m].
+        grip: (3,) centre of the handle, in the door frame [m].
+        length: length of the handle [m].
         radius: half its thickness [m].
-        material: look.
+        material: look of the handle.
     """
     x, y, z = grip
     half = length / 2

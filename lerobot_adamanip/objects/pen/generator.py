@@ -1,4 +1,4 @@
-"""Pens, upright in a desk stand with their cap up: it is turned loose and drawn off."""
+"""Pens, upright in a desk stand with the cap on top: it is turned loose and pulled off."""
 
 from __future__ import annotations
 
@@ -36,24 +36,24 @@ from lerobot_adamanip.objects.pen.recipes import (
 from lerobot_adamanip.objects.pen.stands import Stand, draw_stand, stand_shapes
 
 LIFT_UPPER = 0.05
-"""How far a loose cap comes off [m] (paper code: 0.05)."""
+"""Pull-off travel of a loose cap [m] (paper code: 0.05)."""
 CAP_RANGE = 2.35
 """Nominal turn of a cap to either side [rad] (paper code: 2.35)."""
 GRIP_BELOW_END = 0.016
-"""Distance of a grip from where the cap's end begins [m]: the pads reach a centimetre to either side."""
+"""Distance of a grip from the cap's narrowing end [m]: the pads extend one centimetre to either side."""
 CLIP_ROLLS = (0.0, np.pi, 0.2, np.pi + 0.2, -0.2, np.pi - 0.2)
-"""Rolls at which fingers that close across the clip's side keep off it [rad]."""
+"""Rolls at which fingers avoid the clip [rad]."""
 CLIP_TURN, CLIP_SPREAD = np.pi / 4, 0.38
-"""Azimuth of the clip from +x, its middle and half width [rad]: where a hand that keeps off it can turn as far either
-way."""
+"""Middle and half width of the clip's azimuth from +x [rad], such that a hand that avoids the clip can turn equally far
+in both directions."""
 SUNK = 0.7
-"""Share of a stand's height that the barrel goes down into it."""
+"""Fraction of the stand's height that the barrel fills."""
 _STREAM = 0x9E17
 
 
 @dataclass(frozen=True)
 class PenDesign:
-    """The parameters of one pen and its stand; ``clip_turn`` is the azimuth of the clip from +x [rad]."""
+    """Parameters of one pen and its stand; ``clip_turn`` is the azimuth of the clip from +x [rad]."""
 
     pen: Pen
     stand: Stand
@@ -63,7 +63,7 @@ class PenDesign:
 def draw_design(
     rng: np.random.Generator, kind: str, recipes: Mapping[str, Recipe] = RECIPES, stands: Sequence[str] = STANDS
 ) -> PenDesign:
-    """Draws the parameters of one pen of a kind, a name of ``recipes``, and of its stand, one of ``stands``."""
+    """Samples a pen and its stand; the kinds are names of ``recipes`` and of ``stands``."""
     recipe = recipes[kind]
     barrel = LOOKS[str(rng.choice(recipe.barrels))]
     cap = LOOKS[str(rng.choice(recipe.caps))] if recipe.caps else barrel
@@ -111,7 +111,7 @@ def make_novel_pen(number: int) -> ArticulatedObject:
 
 
 def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
-    """Builds the links and the annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
+    """Builds links and annotation of a design: joints ``lift`` and ``cap``, part ``cap``."""
     pen, stand = design.pen, design.stand
     lip = stand.top + pen.exposed
     origin = (*stand.axis, lip)
@@ -126,9 +126,9 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
             Joint("cap", "revolute", (0, 0, 1), (0, 0, 0), (-CAP_RANGE, CAP_RANGE), damping=0.006),
         ),
     )  # fmt: skip
-    # Roll turns against the azimuth: the hand looks down.
+    # The hand looks down, so roll and azimuth have opposite signs.
     grasp = from_above((*stand.axis, lip + pen.length - GRIP_BELOW_END), roll=-design.clip_turn)
-    # What is nearly rectangular is held by its sides, not by its corners.
+    # Almost rectangular caps are gripped at their sides, not at their corners.
     rolls = TWO_FINGERS if pen.squareness else CLIP_ROLLS
     parts = (annotate(links, "cap", "cap", grasp, rolls),)
     size = (float(stand.width), float(stand.depth), float(lip + pen.cap_height))
@@ -137,7 +137,7 @@ def build_pen(object_id: str, design: PenDesign) -> ArticulatedObject:
 
 
 def _body_shapes(design: PenDesign, lip: float) -> tuple[Shape, ...]:
-    """Stand and barrel; the barrel's print faces the way the clip does."""
+    """Returns stand and barrel; the barrel's print faces the same way as the clip."""
     pen, stand = design.pen, design.stand
     bottom = (1 - SUNK) * stand.height
     hole = pen.barrel_radius * (1.0 if pen.sides else 0.97)

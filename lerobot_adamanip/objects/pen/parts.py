@@ -1,4 +1,4 @@
-"""Parts of pens, on their axis: cap and clip, what is under the cap, the barrel. Clips and prints face +x."""
+"""Parts of pens, on their axis: cap, clip, tip and barrel. Clips and prints face +x."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from lerobot_adamanip.objects.geometry.lathe import SIDES, Ring, decal, fluted, 
 from lerobot_adamanip.objects.geometry.shapes import box, chamfered_box, convex_mesh
 
 END = {"dome": 0.0055, "flat": 0.0015, "cone": 0.0035, "finial": 0.0065}
-"""Length of a cap's upper end, beyond what fingers can hold [m]."""
+"""Length of a cap's upper end, above the graspable part [m]."""
 
 
 @dataclass(frozen=True)
 class Pen:
-    """The parameters of a pen [m].
+    """Parameters of a pen [m].
 
     Attributes:
         kind: a name of `RECIPES`.
         radius: half width of the cap.
-        length: of the cap, from its lip to where its upper end begins to narrow.
+        length: length of the cap, from its lip to the start of its narrowing end.
         end: a name of `END`.
         clip: ``bar``, ``arrow``, ``ball``, ``moulded``, ``flat`` or ``none``.
         tip: ``nib``, ``ball``, ``felt``, ``chisel`` or ``brush``.
         barrel_radius: half width of the barrel.
-        exposed: length of the barrel between stand and cap.
-        sides: of the barrel's cross-section; 0 is round.
-        depth, squareness: of the cross-section, see `Ring`.
+        exposed: visible length of the barrel, between stand and cap.
+        sides: number of sides of the barrel; 0 is round.
+        depth, squareness: of the cross section, see `Ring`.
         ribbed: whether the cap has grooves.
         print: ``rings``, ``maker``, ``stripe``, ``column`` or nothing.
         cap, barrel, trim: materials.
@@ -54,11 +54,11 @@ class Pen:
 
     @property
     def cap_height(self) -> float:
-        """Height of the whole cap [m]."""
+        """Total height of the cap [m]."""
         return self.length + END[self.end]
 
     def ring(self, height: float, radius: float) -> Ring:
-        """Returns a cross-section of the cap or the barrel."""
+        """Returns a cross section of the cap or the barrel."""
         return Ring(height, radius, self.depth, self.squareness)
 
 
@@ -81,7 +81,7 @@ def cap_shapes(pen: Pen) -> tuple[Shape, ...]:
 
 
 def _end(pen: Pen) -> list[Ring]:
-    """The rings above what fingers hold."""
+    """Returns the rings above the graspable part."""
     r, length = 0.97 * pen.radius, pen.length
     if pen.end == "dome":
         steps = np.linspace(0, np.pi / 2, 6)[1:-1]
@@ -94,7 +94,7 @@ def _end(pen: Pen) -> list[Ring]:
 
 
 def _clip(pen: Pen) -> tuple[Shape, ...]:
-    """Held at its upper end, free at its lower: it keeps to one side, where fingers that close across it are not."""
+    """Returns the clip, fixed at its upper end. It stays on one side, away from fingers that close across it."""
     if pen.clip == "none":
         return ()
     front, top = pen.radius * pen.depth, pen.length - 0.002
@@ -117,7 +117,7 @@ def _clip(pen: Pen) -> tuple[Shape, ...]:
 
 
 def barrel_shapes(pen: Pen, bottom: float, lip: float, axis: tuple[float, float]) -> tuple[Shape, ...]:
-    """Returns the barrel from ``bottom`` [m], down in its stand, to the cap's lip."""
+    """Returns the barrel from ``bottom`` [m], inside its stand, to the cap's lip."""
     r = pen.barrel_radius
     waist = lip - 0.62 * pen.exposed
     rings = [pen.ring(bottom, 0.86 * r), pen.ring(waist, r), pen.ring(lip - 0.0008, r)]
@@ -147,7 +147,7 @@ def barrel_shapes(pen: Pen, bottom: float, lip: float, axis: tuple[float, float]
 
 
 def tip_shapes(pen: Pen, lip: float, axis: tuple[float, float]) -> tuple[Shape, ...]:
-    """Returns what is to be seen once the cap is off. The cap is solid, so this is decoration."""
+    """Returns the tip, visible once the cap is off; it does not collide, because the cap is solid."""
     r = min(pen.radius * pen.depth, pen.barrel_radius) * 0.80
     grip = {"nib": pen.cap, "ball": pen.trim}.get(pen.tip, Material((0.05, 0.05, 0.055), 0.5))
     room = pen.length - 0.006

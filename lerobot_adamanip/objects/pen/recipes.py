@@ -1,4 +1,4 @@
-"""What kinds of pen there are, and what they stand in: sizes of products as they are sold [m], and their colours."""
+"""Kinds of pens and their stands: sizes of real products [m], and their colours."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Recipe:
-    """A kind of pen: what is drawn, and from where.
+    """A kind of pen: sampled parameters and their ranges.
 
     Attributes:
         cap_radius, cap_length: of the cap.
-        barrel_ratio: radius of the barrel as a fraction of the cap's.
-        exposed: length of the barrel between stand and cap.
+        barrel_ratio: radius of the barrel, as a fraction of the cap's.
+        exposed: visible length of the barrel, between stand and cap.
         ends: kinds of upper end.
         clips: kinds of clip.
-        tip: what is under the cap.
+        tip: kind of tip.
         barrels: names of `LOOKS`, for the barrel.
-        caps: names of `LOOKS`, for the cap; empty: as the barrel.
-        trims: names of `LOOKS`, for clip and rings; empty: as the cap.
-        sides: of the barrel's cross-section; 0 is round.
+        caps: names of `LOOKS`, for the cap; empty for the barrel's.
+        trims: names of `LOOKS`, for clip and rings; empty for the cap's.
+        sides: number of sides of the barrel; 0 is round.
         depth: extent front to back as a fraction of the width.
-        squareness: of the cross-section.
+        squareness: squareness of the cross section.
         ribbed: whether the cap has grooves along it.
-        print: what is printed on the barrel.
+        print: kind of print on the barrel.
     """
 
     cap_radius: Range
@@ -116,7 +116,7 @@ NOVEL_RECIPES: dict[str, Recipe] = {
         print="column",
     ),
 }  # fmt: skip
-"""Stouter, flatter or three-sided, without a clip or with another kind's."""
+"""Novel kinds: thicker, flatter or three-sided, without a clip or with the clip of another kind."""
 
 
 LOOKS: dict[str, Material] = {

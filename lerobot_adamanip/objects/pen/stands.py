@@ -1,4 +1,4 @@
-"""What a pen stands in on a desk. Frame: the object's; the pen's axis is given."""
+"""Desk stands of pens. Frame: the object's; the pen's axis is given."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from lerobot_adamanip.objects.geometry.lathe import Ring, turned
 from lerobot_adamanip.objects.geometry.shapes import chamfered_box, mark
 
 SOCKET_ROOM = 0.0012
-"""Between a barrel and its socket [m]."""
+"""Gap between a barrel and its socket [m]."""
 
 
 @dataclass(frozen=True)
 class Stand:
-    """The parameters of a stand [m].
+    """Parameters of a stand [m].
 
     Attributes:
         kind: a name of `STANDS`.
         width, depth, height: of its body.
-        shift: where the pen stands, from the middle, along y; positive is +y.
-        socket_height: of the metal socket on top; 0 where the pen stands in a hole.
+        shift: offset of the pen from the middle along y.
+        socket_height: height of the metal socket on top; 0 for a hole.
         body, socket, extra: materials.
     """
 
@@ -38,17 +38,17 @@ class Stand:
 
     @property
     def axis(self) -> tuple[float, float]:
-        """Where the pen's axis is (x, y) [m]."""
+        """Position of the pen's axis (x, y) [m]."""
         return (-self.depth / 2, self.shift)
 
     @property
     def top(self) -> float:
-        """Height from which the pen shows [m]."""
+        """Height at which the pen leaves the stand [m]."""
         return self.height + self.socket_height
 
 
 def draw_stand(rng: np.random.Generator, kind: str, materials: tuple[Material, Material, Material]) -> Stand:
-    """Draws the sizes of a stand of a kind. ``materials``: body, socket, extra."""
+    """Samples the sizes of a stand of a kind. ``materials``: body, socket, extra."""
     width, depth, height = (rng.uniform(*values) for values in _SIZES[kind])
     if kind in ("disc", "column", "cone"):
         depth = width
@@ -74,7 +74,7 @@ _SIZES = {
 
 
 def stand_shapes(stand: Stand, hole: float) -> tuple[Shape, ...]:
-    """Returns the shapes of a stand for a barrel of half width ``hole`` [m] where it enters."""
+    """Returns the shapes of a stand for a barrel with half width ``hole`` [m] at its entry."""
     shapes = _body(stand)
     shapes += _socket(stand, hole + SOCKET_ROOM)
     side = -np.sign(stand.shift)
@@ -115,7 +115,7 @@ def _body(stand: Stand) -> tuple[Shape, ...]:
 
 
 def _socket(stand: Stand, radius: float) -> tuple[Shape, ...]:
-    """A trumpet on a foot, or the rim of a hole."""
+    """Returns a trumpet on a foot, or the rim of a hole."""
     h, top, axis = stand.height, stand.top, stand.axis
     if not stand.socket_height:
         return turned((Ring(h, radius + 0.002), Ring(h + 0.0012, radius + 0.0014)), stand.socket, axis=axis)
@@ -134,7 +134,7 @@ def _ink_well(stand: Stand, axis: tuple[float, float]) -> tuple[Shape, ...]:
 
 
 def _notes(stand: Stand, side: float) -> tuple[Shape, ...]:
-    """A pad of notes and two clips, low enough to be out of the way."""
+    """Returns a pad of notes and two clips, low enough for the hand."""
     x, h = stand.axis[0], stand.height
     y = side * 0.22 * stand.width
     half = 0.036
