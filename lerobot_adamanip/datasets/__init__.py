@@ -1,1 +1,1 @@
-"""Read, check, repair, edit, count, view and describe LeRobotDatasets of this project."""
+"""Reading, checking, repairing, editing, counting, viewing and describing this project's LeRobotDatasets."""

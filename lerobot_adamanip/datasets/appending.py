@@ -24,13 +24,13 @@ _EPISODE = ("episode_index", "episode_length", "episode_tasks", "episode_stats",
 
 
 def can_append(dataset: Any) -> bool:
-    """Whether this LeRobot's writer and metadata have what `append_rows` uses."""
+    """Returns whether this LeRobot's writer and metadata have the attributes that `append_rows` uses."""
     parameters = tuple(inspect.signature(dataset.meta.save_episode).parameters)
     return parameters == _EPISODE and all(hasattr(dataset.writer, part) for part in _WRITER_PARTS)
 
 
 def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
-    """Yields numbered values in order, each as soon as all before it have come."""
+    """Yields numbered values in order, each as soon as all earlier ones have arrived."""
     waiting: dict[int, T] = {}
     following = 0
     for number, value in numbered:
@@ -56,15 +56,15 @@ def append_rows(
     stats: Mapping[str, Mapping[str, Any]],
     videos: Mapping[str, bytes],
 ) -> int:
-    """Appends an episode from its table, as `append`; returns its number of rows.
+    """Appends an episode from its table, like `append`; returns its number of rows.
 
     Args:
-        dataset: LeRobot's, being written.
+        dataset: LeRobotDataset that is being written.
         table: the rows; the columns `encoding.PLACE` are replaced.
         tasks: of the episode; new ones are added to the dataset.
-        task_of_row: one of them for each row.
-        stats: column -> statistics; those of `encoding.PLACE` are computed anew.
-        videos: column -> content of a file with the episode's frames alone.
+        task_of_row: task of each row.
+        stats: column -> statistics; those of `encoding.PLACE` are recomputed.
+        videos: column -> content of a video file with only this episode's frames.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
 
@@ -96,7 +96,7 @@ def _with_columns(table: pa.Table, columns: Mapping[str, Any]) -> pa.Table:
 
 
 def _append_table(writer: Any, meta: Any, table: pa.Table) -> dict[str, Any]:
-    """Writes an episode's rows as a row group, into another file where this one is full: LeRobot's rule."""
+    """Writes an episode's rows as a row group; starts a new file when this one is full, by LeRobot's rule."""
     from lerobot.datasets.io_utils import get_file_size_in_mb
     from lerobot.datasets.utils import update_chunk_file_indices
 

@@ -1,4 +1,4 @@
-"""All attempts made for a dataset, kept or not, and their counts by hidden value."""
+"""All attempts at a dataset's episodes, kept or not, and their counts by hidden value."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ class AttemptRecord:
     """One line of ``meta/attempts.jsonl``.
 
     Attributes:
-        object_id, slot, attempt: its place: the number ``attempt``, from 0, at the object's episode ``slot``.
+        object_id, slot, attempt: its place: attempt number, from 0, at the object's episode number ``slot``.
         seed: of the episode.
-        hidden_state: its draw; None if there was no layout.
-        kept: whether it is in the dataset.
-        reason: ``success``, or why not.
+        hidden_state: of the episode; None if there was no layout.
+        kept: whether the dataset contains it.
+        reason: ``success``, or the reason of the failure.
         key_frames: number of them.
-        late: whether it started late.
+        late: whether it started from a mid-task state.
     """
 
     object_id: str
@@ -45,14 +45,14 @@ class AttemptRecord:
 
     @property
     def success(self) -> bool:
-        """Whether it succeeded; a policy's corrected episodes are kept without success too."""
+        """Whether it succeeded; corrected episodes of a policy are also kept without success."""
         return self.reason == SUCCESS
 
 
 def all_attempts(
     paths: CollectionPaths, items: Iterable[EpisodeSpec], records: Iterable[Mapping[str, Any]]
 ) -> list[AttemptRecord]:
-    """Returns every attempt at the items, in their order, given-up items included."""
+    """Returns all attempts at the items, in order, including those of given-up items."""
     kept = {(record["slot"], record["object_id"]): record for record in records}
     listed = []
     for item in items:
@@ -77,7 +77,7 @@ def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]
 
 
 def attempts_path(root: Path) -> Path:
-    """Returns where a dataset lists the attempts that were made for it."""
+    """Returns the path of a dataset's list of attempts."""
     return root / "meta" / "attempts.jsonl"
 
 
@@ -87,7 +87,7 @@ def attempts_jsonl(attempts: Iterable[AttemptRecord]) -> bytes:
 
 
 def read_attempts(path: Path) -> list[AttemptRecord]:
-    """Reads ``meta/attempts.jsonl``; raises `DatasetError` if it is missing or a line of it is no attempt."""
+    """Reads ``meta/attempts.jsonl``; raises `DatasetError` if it is missing or has an invalid line."""
     try:
         lines = path.read_text(encoding="utf-8").splitlines()
         return [AttemptRecord(**_ATTEMPT("an attempt", json_fields.parse(line))) for line in lines]
@@ -101,7 +101,7 @@ def read_attempts(path: Path) -> list[AttemptRecord]:
 
 
 def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
-    """Returns how many attempts were made for ``wanted`` episodes, and how many were kept."""
+    """Returns the numbers of attempts and kept attempts for ``wanted`` episodes."""
     listed = list(attempts)
     kept = sum(attempt.kept for attempt in listed)
     return AttemptCounts(kept, len(listed), wanted - kept)
@@ -114,7 +114,7 @@ def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, i
 
 
 def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
-    """Returns hidden value -> attempts; an attempt is in the group of each of its hidden values.
+    """Returns hidden value -> attempts; an attempt is listed under each of its hidden values.
 
     Continuous values are split at their median.
     """

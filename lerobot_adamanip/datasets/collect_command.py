@@ -1,4 +1,4 @@
-"""The `adamanip collect` command of a dataset, for its card."""
+"""The `adamanip collect` command that reproduces a dataset, for its card."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
 _OPTIONS = {"observe_images": "images"}
-"""Field -> its option of `adamanip collect`, where the two differ."""
+"""Field -> its option of `adamanip collect`, if the two differ."""
 PYTHON_ONLY = ("max_key_frames", "hidden_overrides", "workspace")
 """Fields without an option of `adamanip collect`."""
 
 
 def collect_command(spec: CollectionSpec, folder: str) -> str:
-    """Returns the command that collects a dataset of these options, into ``folder``.
+    """Returns the command that collects a dataset with these options into ``folder``.
 
-    A policy and external assets are folders of somebody's machine, so they are called POLICY and ASSETS. Values that
-    no option sets are listed in a comment.
+    Local folders of a policy and of external assets are written as POLICY and ASSETS. Values without an option are
+    listed in a comment.
     """
     values: dict[str, Any] = {"category": spec.category, "objects": _objects(spec)}
     own = {field.name: getattr(spec, field.name) for field in dataclasses.fields(spec)}
@@ -41,14 +41,14 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
 def _flag(name: str, value: object) -> str:
     option = _OPTIONS.get(name, name).replace("_", "-")
     if isinstance(value, bool) and not value:
-        return "--no-images" if name == "observe_images" else ""  # other flags are off unless they are given
+        return "--no-images" if name == "observe_images" else ""  # other flags are off by default
     if isinstance(value, bool):
         return f"--{option}"
     return f"--{option} {value}"
 
 
 def _objects(spec: CollectionSpec) -> str:
-    """The shortest selection that gives the objects: a split, or a range of numbers, else all ids."""
+    """Returns the shortest selection of the objects: a split, a range of numbers, or else all ids."""
     first, last = (name.rpartition("_")[2] for name in (spec.objects[0], spec.objects[-1]))
     ranges = [f"{int(first)}:{int(last) + 1}"] if first.isdecimal() and last.isdecimal() else []
     for selection in ("seen", "unseen", "novel", *ranges):

@@ -1,4 +1,4 @@
-"""Options of a collection, its episodes and their seeds, and its folders."""
+"""Options, episodes, seeds and folders of a collection."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, listed, require_cho
 
 SPLIT = "train"
 DEMO_SEED_START, DEMO_SEED_END = SPLITS[SPLIT]
-"""Demonstration seeds lie apart from those of evaluation, so the two never meet."""
+"""Range of demonstration seeds; it does not overlap with evaluation seeds."""
 LIMITS: Mapping[str, tuple[int, int]] = {
     "episodes_per_object": (1, 100_000), "trials": (1, 20), "seed": (0, 2**63 - 1),
 }  # fmt: skip
@@ -29,7 +29,7 @@ MAX_OBJECTS, MAX_EPISODES = 5_000, 1_000_000
 def episode_seed(seed: int, category: str, object_id: str, slot: int, attempt: int) -> int:
     """Returns an episode's seed, a hash of its place in the collection.
 
-    It depends on neither the expert nor the order of work. So adaptive and static collections of one seed have the same
+    It is independent of the expert and of the order of work. So adaptive and static collections of one seed have equal
     layouts and hidden states, and any number of workers gives the same data.
     """
     place = json.dumps([seed, category, object_id, slot, attempt]).encode()
@@ -39,7 +39,7 @@ def episode_seed(seed: int, category: str, object_id: str, slot: int, attempt: i
 
 @dataclass(frozen=True, order=True)
 class EpisodeSpec:
-    """One episode to be recorded: the ``slot``-th of an object."""
+    """One episode to record: number ``slot`` of an object."""
 
     slot: int
     object_id: str
@@ -59,17 +59,17 @@ class CollectionSpec:
 
     Attributes:
         environment: options of the environments; its ``category`` is that of the first object.
-        objects: ids, in the order of the dataset; of one category or of several.
+        objects: ids of one or more categories, in the order of the dataset.
         expert: ``adaptive`` or ``static``.
         expert_strategy: see `lerobot_adamanip.experts.EXPERT_STRATEGIES`.
-        episodes_per_object: successes to keep of each object.
-        trials: adaptive trials the expert may demonstrate (the paper's second table).
+        episodes_per_object: number of successes to keep per object.
+        trials: failed tries of a motion before the adaptive expert changes it (the paper's second table).
         seed: of the whole collection.
-        late_starts: share of episodes that start late, see `lerobot_adamanip.collection.late_starts`.
-        keep_failed: whether failed episodes are kept, in a dataset of their own.
-        policy: hash of the policy that drives and is corrected by the expert (`collection.corrections`);
-            empty where the expert demonstrates. Its episodes are kept whether they succeed or not.
-        expert_share: share of key frames that the expert drives; 1 where it demonstrates.
+        late_starts: share of episodes that start from mid-task states, see `lerobot_adamanip.collection.late_starts`.
+        keep_failed: whether to keep failed episodes, in a separate dataset.
+        policy: hash of a policy that drives while the expert corrects it (`collection.corrections`); empty for
+            demonstrations of the expert. Its episodes are kept with and without success.
+        expert_share: share of key frames that the expert drives; 1 for demonstrations.
     """
 
     environment: EnvironmentOptions
@@ -104,12 +104,12 @@ class CollectionSpec:
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Of the objects, in their order."""
+        """Categories of the objects, in their order."""
         return tuple(dict.fromkeys(map(category_of, self.objects)))
 
     @property
     def category(self) -> str:
-        """Of all objects, or ``all`` for several."""
+        """Category of all objects; ``all`` for several."""
         return self.categories[0] if len(self.categories) == 1 else ALL
 
     def environment_of(self, category: str) -> EnvironmentOptions:
@@ -118,7 +118,7 @@ class CollectionSpec:
         return self.environment.changed(category=category, objects=mine, split=SPLIT, seed_offset=0)
 
     def items(self) -> list[EpisodeSpec]:
-        """Returns the episodes in dataset order: the first of every object, then the second: any prefix is balanced."""
+        """Returns the episodes in dataset order: each object's first, then each second (any prefix is balanced)."""
         return [EpisodeSpec(slot, name) for slot in range(self.episodes_per_object) for name in self.objects]
 
 
@@ -129,7 +129,7 @@ def _require(holds: bool, name: str, got: object, allowed: str, advice: object =
 
 
 class CollectionPaths:
-    """Folders of a collection: ``root`` when complete, others beside it until then.
+    """Folders of a collection: ``root`` when complete, the others beside it until then.
 
     Attributes:
         root: the finished dataset.
@@ -157,12 +157,12 @@ class CollectionPaths:
 
 
 def manifest_path(root: Path) -> Path:
-    """Returns where a dataset says how it was collected."""
+    """Returns the path of a dataset's manifest."""
     return root / "meta" / "collection.json"
 
 
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
-    """Returns what of an environment's options decides data, as manifests hold it: no path of this machine."""
+    """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
     return to_stored({name: plain[name] for name in MANIFEST_FIELDS})
 
@@ -171,10 +171,10 @@ MANIFEST_FIELDS = (
     "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_rules", "max_key_frames",
     "hidden_overrides", "workspace",
 )  # fmt: skip
-"""Options of an environment that a manifest holds."""
+"""Environment options in a manifest."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
     "logged_seeds",
 )  # fmt: skip
-"""Other options: category and objects have fields of their own, the split is always the same, paths belong to one
-machine, a run belongs to an evaluation, and the renderer is in the fingerprint."""
+"""Other options: category and objects have their own fields, the split is constant, paths are local, runs belong to
+evaluations, and the fingerprint covers the renderer."""

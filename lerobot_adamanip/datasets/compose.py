@@ -1,7 +1,7 @@
-"""Write a dataset of chosen episodes of other datasets: the one path of merge, filter and split.
+"""Write a dataset from selected episodes of other datasets, for merge, filter and split.
 
-Rows, videos, columns of episodes and statistics stay; indices are numbered anew. LeRobot's own tools encode videos
-again and drop columns of episodes that they do not know.
+Rows, videos, columns of episodes and statistics are copied; indices are renumbered. LeRobot's own tools re-encode
+videos and drop columns of episodes that they do not know.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse, read
 
 Progress = Callable[[int, int], None]
-"""Called with the number of episodes done, and of all."""
+"""Called with the number of finished episodes and the total number."""
 Pieces = Sequence[tuple[Source, int]]
-"""Datasets and indices of their episodes, in the order of the new dataset."""
+"""Source datasets and episode indices, in the order of the new dataset."""
 _OF_COLLECTION = ("meta/collection.json", "meta/attempts.jsonl")
 _OF_ROBOT = (CALIBRATIONS, SAFETY)
 
@@ -39,18 +39,18 @@ _OF_ROBOT = (CALIBRATIONS, SAFETY)
 def compose(
     out: Path, pieces: Pieces, repo_id: str, selection: Selection | None, progress: Progress = lambda done, total: None
 ) -> None:
-    """Writes a dataset of these episodes, and reads it back.
+    """Writes a dataset of these episodes and verifies it by reading it back.
 
     Args:
         out: a folder that does not exist.
-        pieces: the episodes; one or more, of datasets with equal features.
+        pieces: one or more episodes, of datasets with equal features.
         repo_id: for LeRobot.
-        selection: the dataset that the new one is a part of, if of one; its manifest and attempts are copied.
+        selection: the dataset that the new one is a part of, if any; its manifest and attempts are copied.
         progress: called after each episode.
 
     Raises:
         DatasetError: a source is damaged, or the sources are recordings with different calibrations.
-        ConfigurationError: this LeRobot writes datasets in another way.
+        ConfigurationError: this version of LeRobot writes datasets differently.
     """
     from lerobot.datasets.feature_utils import get_hf_features_from_features
 
@@ -97,7 +97,7 @@ def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
         dataset.meta.update_chunk_settings(chunks_size=info["chunks_size"])
     if not can_append(dataset):
         raise ConfigurationError(
-            "This LeRobot writes datasets otherwise.",
+            "This version of LeRobot writes datasets differently.",
             got=f"lerobot {lerobot.__version__}",
             allowed="a version of docs/compatibility.md",
             hint="pip install 'lerobot==0.6.1'",
@@ -119,7 +119,7 @@ def _append(dataset: Any, schema: pa.Schema, source: Source, episode: int) -> in
 
 
 def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
-    """Returns rows with LeRobot's types; its editing tools store the same values as other kinds of lists."""
+    """Returns rows with LeRobot's types; its editing tools store the same values with other list types."""
     from datasets.table import table_cast
 
     if table.schema.equals(schema, check_metadata=True):
@@ -130,7 +130,7 @@ def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
 
 
 def _restore_info(out: Path, sources: Sequence[Source]) -> None:
-    """Replaces LeRobot's description of the new videos by that of the old ones, where all sources agree."""
+    """Replaces LeRobot's description of the new videos by the sources', where all sources agree."""
     path = out / "meta" / "info.json"
     info = read(path)
     for key, feature in info["features"].items():
@@ -145,7 +145,7 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
 
 
 def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
-    """Adds what LeRobot does not write: episodes' own columns, cameras, calibrations, and the collection's files."""
+    """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
     sort_statistics(out)
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
@@ -161,7 +161,7 @@ def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
 
 
 def _cameras(columns: pa.Table) -> list[dict[str, Any]]:
-    """Returns the camera's parameters in each episode; nothing if those of an episode are unknown."""
+    """Returns each episode's camera parameters; empty if those of any episode are unknown."""
     texts = columns["camera"].to_pylist() if "camera" in columns.column_names else []
     try:
         cameras = [parse(text) for text in texts]
@@ -171,12 +171,12 @@ def _cameras(columns: pa.Table) -> list[dict[str, Any]]:
 
 
 def _require_same_calibrations(sources: Sequence[Source]) -> None:
-    """Raises `DatasetError` for recordings of different cameras: a dataset holds one calibration."""
+    """Raises `DatasetError` for recordings with different calibrations, since a dataset holds only one."""
     dense = [source for source in sources if is_dense(source.info["features"])]
     if len({tuple(_content(source.root / name) for name in _OF_ROBOT) for source in dense}) > 1:
         names = " ".join(as_typed(source.root) for source in dense)
         raise DatasetError(
-            "These recordings have different camera calibrations or safety limits, and one can hold only one.",
+            "These recordings have different camera calibrations or safety limits; a recording can hold only one.",
             got=", ".join(source.root.name for source in dense),
             allowed=f"recordings with the same {' and '.join(_OF_ROBOT)}",
             hint=f"adamanip keyframes {names} --out BOTH converts each with its own",

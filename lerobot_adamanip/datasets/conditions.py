@@ -1,4 +1,4 @@
-"""Conditions on episodes: ``failed_tries>=1``, ``object_id=safe_000,safe_003``. Nothing is evaluated as code."""
+"""Conditions on episodes: ``failed_tries>=1``, ``object_id=safe_000,safe_003``. They are parsed, not executed."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ _WORDS = {"true": True, "false": False}
 
 @dataclass(frozen=True)
 class Condition:
-    """A comparison of one column: ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``."""
+    """Comparison of one column, by ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``."""
 
     column: str
     operation: str
     values: tuple[Value, ...]
-    """To compare with; for ``=`` one of them has to be equal, for ``!=`` none."""
+    """Values to compare with; ``=`` holds if any is equal, ``!=`` if none is."""
     ranges: tuple[tuple[int, int], ...] = ()
-    """First and end (exclusive) of whole numbers, for ``=`` and ``!=``."""
+    """Ranges of whole numbers for ``=`` and ``!=``: first, end (excluded)."""
 
     def holds(self, facts: Facts) -> bool:
-        """Whether an episode fulfils it; an unknown value fulfils nothing."""
+        """Returns whether an episode fulfils the condition; unknown values never do."""
         found: Any = facts[self.column]
         if found is None:
             return False
@@ -43,18 +43,18 @@ class Condition:
 
 
 def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
-    """Parses a condition on episodes with these facts.
+    """Parses a condition on episodes with these values.
 
-    It is a column's name, an operation and a value of the column's kind; for ``=`` and ``!=`` several, separated by
-    commas, and of whole numbers ranges like ``0:10`` (10 excluded).
+    Its form is COLUMN OPERATION VALUE. For ``=`` and ``!=`` several values may follow, separated by commas; whole
+    numbers may be ranges like ``0:10`` (10 excluded).
 
     Raises:
-        ConfigurationError: the text is no condition, names no column, or its value is of another kind.
+        ConfigurationError: the form, the column or the type of a value is wrong.
     """
     match = _GRAMMAR.fullmatch(text)
     if match is None or not match[3]:
         raise ConfigurationError(
-            "This is no condition.",
+            "The condition has a wrong form.",
             got=repr(text),
             allowed="COLUMN OPERATION VALUE, operation one of =, !=, <, <=, >, >=",
             hint="--where 'failed_tries>=1'",
@@ -75,7 +75,7 @@ def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
 
 
 def choose(conditions: Sequence[str], facts: Sequence[Facts]) -> list[int]:
-    """Returns the indices of the episodes that fulfil every condition; raises `ConfigurationError` if none does."""
+    """Returns the indices of the episodes that fulfil all conditions; raises `ConfigurationError` if there are none."""
     parsed = [parse_condition(text, facts) for text in conditions]
     chosen = [number for number, each in enumerate(facts) if all(one.holds(each) for one in parsed)]
     if not chosen:
@@ -84,7 +84,7 @@ def choose(conditions: Sequence[str], facts: Sequence[Facts]) -> list[int]:
             "No episode fulfils the conditions.",
             got=" and ".join(conditions),
             allowed="; ".join(f"{column}: {_range(column, facts)}" for column in columns),
-            hint="a wider condition",
+            hint="a less strict condition",
         )
     return chosen
 
@@ -97,7 +97,7 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
         begun = (name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word))
         near = next(begun, None) or nearest(word, names)
         hint = f"--where '{near}{rest}'" if near else "--where 'success=true'"
-        raise ConfigurationError("Episodes have no such column.", got=repr(column), allowed=", ".join(names), hint=hint)
+        raise ConfigurationError("Episodes lack this column.", got=repr(column), allowed=", ".join(names), hint=hint)
     return float if kinds == {int, float} else kinds.pop() if len(kinds) == 1 else str
 
 

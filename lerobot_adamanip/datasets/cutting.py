@@ -1,4 +1,4 @@
-"""Cut an episode's frames out of a video file by copying packets: LeRobot begins each episode with a key frame."""
+"""Cut an episode out of a video file by copying packets; LeRobot starts each episode with a key frame."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from lerobot_adamanip.util.errors import DatasetError
 
 
 def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[str, Any], fps: int) -> bytes:
-    """Returns a video file of one episode's frames; ``feature`` describes the column, ``row`` is of ``meta/episodes``.
+    """Returns a video file with one episode's frames; ``feature`` describes the column, ``row`` the episode.
 
-    Packets are copied without loss. Where the episode does not begin with a key frame, as after LeRobot's own cutting,
-    its frames are encoded again with the settings that the dataset names.
+    Packets are copied without loss. If the episode does not start with a key frame, as after LeRobot's own cutting, its
+    frames are re-encoded with the dataset's settings.
 
     Raises:
-        DatasetError: the video holds too few frames, or depth would be encoded again.
+        DatasetError: the video has too few frames, or depth would be re-encoded.
     """
     chunk, file, begin, end = (
         row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
@@ -43,7 +43,7 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
 
 
 def _copied(path: Path, out: Path, span: tuple[int, int], fps: int) -> int | None:
-    """Copies the packets of some frames; returns how many, or None if the first is no key frame."""
+    """Copies the packets of a span of frames; returns their number, or None if the first is not a key frame."""
     import av
 
     first, end = span
@@ -80,10 +80,10 @@ def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, featur
 
     if (feature.get("info") or {}).get("is_depth_map"):
         raise DatasetError(
-            "Depth cannot be encoded anew without loss.",
-            got=f"an episode that begins within a group of frames, at frame {span[0]} of {path}",
-            allowed="videos in which each episode begins with a key frame, as `lerobot-record` writes them",
-            hint="the recording of before it was edited",
+            "Depth cannot be re-encoded without loss.",
+            got=f"an episode that starts between key frames, at frame {span[0]} of {path}",
+            allowed="videos in which each episode starts with a key frame, as `lerobot-record` writes them",
+            hint="the recording as it was before editing",
         )
     folder = out.with_suffix("")
     folder.mkdir()

@@ -1,6 +1,6 @@
-"""Prepare an episode for a dataset: its table, statistics and video, which depend on that episode alone.
+"""Prepare an episode for a dataset: its table, statistics and video, which depend on that episode only.
 
-This is most of the work of assembly, so worker processes do it; `appending` is the rest.
+Worker processes do this, because it is most of the work of assembly. `appending` does the rest.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from lerobot_adamanip.util.jobs import Heartbeat
 
 Features = Mapping[str, Mapping[str, Any]]
 PLACE = ("index", "episode_index", "task_index")
-"""Columns that depend on what was appended before."""
+"""Columns that depend on the episodes before."""
 VIDEO = {"vcodec": "h264", "crf": 20, "preset": "veryfast", "g": 2}
 ENCODER_THREADS = 1
-"""One thread: the same frames then give the same file on every run."""
+"""With one thread, the same frames give the same file in every run."""
 
 
 @dataclass(frozen=True, order=True)
 class EpisodeFile:
-    """An episode to be prepared: its number in the dataset, and its file."""
+    """An episode to prepare: its number in the dataset, and its file."""
 
     number: int
     path: Path
@@ -40,8 +40,8 @@ class PreparedEpisode:
     """An episode ready to be appended.
 
     Attributes:
-        record: what describes it.
-        table: its rows, as an Arrow stream; 0 in the columns `PLACE`.
+        record: description of the episode.
+        table: rows as an Arrow stream; the columns `PLACE` are 0.
         stats: column -> statistics, without `PLACE`.
         videos: column -> file content.
     """
@@ -62,7 +62,7 @@ def quieten() -> None:
 
 
 def video_encoder() -> Any:
-    """Returns LeRobot's description of how videos are encoded."""
+    """Returns LeRobot's configuration of the video encoder."""
     from lerobot.configs.video import RGBEncoderConfig
 
     return RGBEncoderConfig(**VIDEO)
@@ -72,7 +72,7 @@ def video_encoder() -> Any:
 def preparing_session(
     features: Features, fps: int
 ) -> Iterator[Callable[[EpisodeFile | bytes, Heartbeat], PreparedEpisode]]:
-    """Yields a worker's function, which prepares an episode from its file or the file's content."""
+    """Yields a worker's function, which prepares an episode from a file or its content."""
     quieten()
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         sent = Path(scratch) / "episode.safetensors"
@@ -86,9 +86,9 @@ def preparing_session(
 
 
 def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Path) -> PreparedEpisode:
-    """Prepares one episode with LeRobot's functions, as LeRobot's writer does, in a folder to work in.
+    """Prepares one episode with the functions of LeRobot's writer, in the folder ``scratch``.
 
-    ``features`` are the dataset's, LeRobot's own columns included.
+    ``features`` are those of the dataset, including LeRobot's own columns.
     """
     from lerobot.datasets.feature_utils import validate_frame
     from lerobot.datasets.image_writer import write_image
@@ -111,7 +111,7 @@ def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Pat
 
 
 def _rows(episode: RecordedEpisode, features: Features, fps: int) -> dict[str, Any]:
-    """Returns the columns as LeRobot's writer stacks them: of shape (1,) they are scalars."""
+    """Returns the columns as LeRobot's writer stacks them: columns of shape (1,) become scalars."""
     length = len(episode)
     given = {
         **episode.columns,

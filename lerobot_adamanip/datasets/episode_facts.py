@@ -1,4 +1,4 @@
-"""Values of each episode by name, to choose and split episodes by."""
+"""Named values of each episode, for selecting and splitting episodes."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from lerobot_adamanip.util.json_fields import parse
 
 
 def episode_facts(source: Source) -> list[Facts]:
-    """Returns the values of each episode, by name.
+    """Returns each episode's values, by name.
 
-    These are the columns of ``meta/episodes`` with one plain value, and values that follow from them and the rows:
-    ``category`` and ``object_split`` (seen, unseen, novel) of its object, ``task``, ``key_frames`` (actions sent),
-    ``recoveries`` (failed tries after which the next one worked), and its hidden state, for example ``hidden.locked``.
+    These are the scalar columns of ``meta/episodes`` and derived values: ``category`` and ``object_split`` (seen,
+    unseen, novel) of its object, ``task``, ``key_frames`` (number of actions), ``recoveries`` (failed tries followed by
+    a successful one), and its hidden state, for example ``hidden.locked``.
     """
     counted = _counted(source)
     lengths, tasks = (source.episodes[name].to_pylist() for name in ("length", "tasks"))
@@ -49,7 +49,7 @@ def _of_object(identifier: object) -> dict[str, Value | None]:
         return {}
     try:
         return {"category": category_of(identifier), "object_split": object_split(identifier)}
-    except ConfigurationError:  # an object of somebody else's recording
+    except ConfigurationError:  # an unknown object of another project's recording
         return {}
 
 
@@ -63,7 +63,7 @@ def _hidden(text: Any) -> dict[str, Value | None]:
 
 
 def _counted(source: Source) -> list[dict[str, Value | None]]:
-    """Returns what the rows of each episode count; nothing where they lack the columns of tries."""
+    """Returns values counted from each episode's rows; empty if the columns of tries are missing."""
     wanted = ["episode_index", schema.TRIED, schema.FAILED, schema.DONE]
     if not set(wanted) <= set(source.info["features"]):
         return [{} for _ in range(source.info["total_episodes"])]
@@ -78,5 +78,5 @@ def _counted(source: Source) -> list[dict[str, Value | None]]:
 
 
 def recoveries(failed: Sequence[bool]) -> int:
-    """Returns how many failed tries, in their order, are followed by one that works."""
+    """Returns how many failed tries are directly followed by a successful one."""
     return sum(one and not following for one, following in itertools.pairwise(failed))

@@ -22,19 +22,19 @@ def filter_episodes(
     repo_id: str | None = None,
     progress: Progress = lambda done, total: None,
 ) -> list[int]:
-    """Writes a dataset with the episodes that fulfil every condition; returns their indices.
+    """Writes a dataset of the episodes that fulfil all conditions; returns their indices.
 
-    Rows, pictures and the columns of episodes stay; indices begin at 0 again. ``out`` appears when it is complete.
+    Rows, images and columns of episodes are copied; indices restart at 0. ``out`` appears when it is complete.
 
     Args:
         root: of a dataset.
-        conditions: see `conditions.parse_condition`; none for all episodes.
-        out: of the new one; a folder that does not exist. None to write nothing.
+        conditions: see `conditions.parse_condition`; empty for all episodes.
+        out: folder of the new dataset, which must not exist. None to write nothing.
         repo_id: ``local/<folder name>`` by default.
         progress: called after each episode.
 
     Raises:
-        ConfigurationError: a condition names no column or a value of another kind, or no episode fulfils them all.
+        ConfigurationError: a condition is invalid, or no episode fulfils all of them.
         DatasetError: the dataset is missing or damaged, or something is at ``out``.
     """
     require_repo_id(repo_id)

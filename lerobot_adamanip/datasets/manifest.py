@@ -1,6 +1,6 @@
-"""``meta/collection.json``: how a dataset was collected. It may come from anywhere, so every field is checked.
+"""Manifest ``meta/collection.json``: how a dataset was collected. It may be untrusted, so every field is checked.
 
-It names no code and no path. Of external assets it holds a hash of each object's content.
+It contains no code and no path. For external assets it has a hash of each object's content.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ from lerobot_adamanip.util.json_fields import (
 )
 
 FORMAT = 2
-"""Of the manifest and the columns beside it."""
+"""Version of the manifest and of the columns beside it."""
 MAX_POINTS = 16_384
 HIDDEN_STATE: Check = mapping(
     text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
@@ -68,9 +68,9 @@ class AttemptCounts:
     """Numbers of attempted episodes.
 
     Attributes:
-        kept: in the dataset.
-        attempted: in all.
-        given_up: episodes of which no attempt succeeded.
+        kept: attempts in the dataset.
+        attempted: all attempts.
+        given_up: episodes without a successful attempt.
     """
 
     kept: int
@@ -129,15 +129,15 @@ def asset_hash(assets: str | Path, object_id: str) -> str:
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:
-    """Writes a manifest, durably."""
+    """Writes a manifest durably."""
     files.write_atomically(path, (json.dumps(manifest.to_json(), indent=2, sort_keys=True) + "\n").encode())
 
 
 def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
-    """Reads a manifest; ``assets`` is the folder of external assets, if the collection used any.
+    """Reads a manifest; ``assets`` is the folder of external assets, if they were used.
 
     Raises:
-        DatasetError: it is missing or damaged, a field is not what it may be, or ``assets`` does not fit it.
+        DatasetError: it is missing or damaged, a field is invalid, or ``assets`` does not fit.
     """
     try:
         return _manifest(table(_MANIFEST)("the manifest", read(path)), None if assets is None else str(assets))
@@ -153,7 +153,7 @@ def read_manifest(path: Path, assets: str | Path | None = None) -> Manifest:
 
 
 def stored_images(paths: CollectionPaths) -> bool | None:
-    """Returns whether a collection, finished or not, has images; None if there is none."""
+    """Returns whether a collection, finished or not, has images; None if there is no collection."""
     for path in (paths.manifest, paths.partial_manifest):
         with contextlib.suppress(OSError, ValueError, KeyError, TypeError):
             return bool(read(path)["collection"]["environment"]["observe_images"])
@@ -161,7 +161,7 @@ def stored_images(paths: CollectionPaths) -> bool | None:
 
 
 def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
-    """Raises `DatasetError` naming each option, object and part of the fingerprint in which two manifests differ."""
+    """Raises `DatasetError` that names all options, objects and fingerprint parts in which two manifests differ."""
     for what, hint, old, new in (
         (
             "holds a collection made with other options",
@@ -192,7 +192,7 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
 
 
 def differing_parts(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
-    """Returns the names under which two fingerprints differ."""
+    """Returns the names whose values differ."""
     return tuple(name for name in sorted({*one, *other}) if one.get(name) != other.get(name))
 
 

@@ -1,4 +1,4 @@
-"""`adamanip merge`: several datasets in one."""
+"""`adamanip merge`: combine several datasets."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ class Merged:
 
     episodes: int
     parts_of_one: bool
-    """Whether the sources were parts of one dataset, whose order the episodes have again."""
+    """Whether the sources are parts of one dataset; the episodes then have its order."""
     whole: bool
-    """Whether they were all parts of it."""
+    """Whether they are all of its parts."""
     fingerprints: tuple[str, ...]
-    """Of the episodes; more than one means that different code recorded them."""
+    """Fingerprints of the episodes; more than one means that they were recorded by different code."""
 
 
 def merge(
@@ -39,22 +39,22 @@ def merge(
     repo_id: str | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Merged:
-    """Writes one dataset with the episodes of several.
+    """Writes one dataset with all episodes of several.
 
-    Rows, pictures and the columns of episodes stay; tasks, indices and statistics are those of the whole. ``out``
-    appears when it is complete. Parts of one dataset (`adamanip filter`, `adamanip split`) come in the order of that
-    dataset, whatever the order of ``roots``: all its parts together are that dataset again. Other datasets come one
-    after another, without the manifest and the attempts of their collections.
+    Rows, images and columns of episodes are copied; tasks, indices and statistics are recomputed. ``out`` appears when
+    it is complete. Parts of one dataset (`adamanip filter`, `adamanip split`) come in that dataset's order, so all its
+    parts together restore it. Other datasets follow one another in the order of ``roots``, without the manifests and
+    attempts of their collections.
 
     Args:
-        roots: of two or more datasets with equal features.
-        out: of the new one; a folder that does not exist.
+        roots: folders of two or more datasets with equal features.
+        out: folder of the new dataset, which must not exist.
         repo_id: ``local/<folder name>`` by default.
         progress: called after each episode.
 
     Raises:
-        DatasetError: a part is damaged or of other features, two share episodes, or something is at ``out``.
-        ConfigurationError: fewer than two parts, or this LeRobot writes datasets in another way.
+        DatasetError: a source is damaged or has other features, two share episodes, or ``out`` exists.
+        ConfigurationError: fewer than two sources, or this version of LeRobot writes datasets differently.
     """
     if len(roots) < 2:
         raise ConfigurationError(
@@ -76,7 +76,7 @@ def merge(
 def merge_into(
     folder: Path, roots: Sequence[Path], repo_id: str, progress: Progress = lambda done, total: None
 ) -> Merged:
-    """As `merge`, into a folder that does not exist and belongs to the caller."""
+    """Merges like `merge`, into a new folder that belongs to the caller."""
     sources = [Source.open(root) for root in roots]
     _require_equal_features(sources)
     one_workspace(roots)
@@ -91,7 +91,7 @@ def merge_into(
 
 
 def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
-    """Returns the episodes in the order of the new dataset, and the dataset that all of them are a part of, if any."""
+    """Returns the episodes in their new order, and the dataset that they are all a part of, if any."""
     pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
     if len({(each.selection.source, each.selection.source_episodes) for each in sources}) > 1:
         return pieces, None
@@ -107,10 +107,10 @@ def _require_each_once(sources: Sequence[Source]) -> None:
     known = Counter((each.selection.source, index) for each in sources for index in each.selection.episodes)
     if twice := sorted(index for (_, index), count in known.items() if count > 1):
         raise DatasetError(
-            "These datasets share episodes, which would be in the new one twice.",
-            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in the dataset that they come from)",
+            "These datasets share episodes, which would appear twice in the new one.",
+            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in their source dataset)",
             allowed="datasets, or parts of one, without a common episode",
-            hint="name each dataset once; for overlapping parts, one `adamanip filter` whose condition takes both",
+            hint="name each dataset once; for overlapping parts, use one `adamanip filter` that selects both",
         )
 
 
@@ -120,21 +120,21 @@ def _require_equal_features(sources: Sequence[Source]) -> None:
         features = _features(source.info)
         if differing := sorted(key for key in {**first, **features} if first.get(key) != features.get(key)):
             raise DatasetError(
-                "Datasets of different features cannot be one.",
+                "Datasets with different features cannot be merged.",
                 got=f"{source.root.name} has {', '.join(differing[:3])} otherwise than {sources[0].root.name}",
-                allowed="the same columns, of the same shapes",
+                allowed="the same columns with the same shapes",
                 hint="`adamanip keyframes` for recordings, `adamanip render` for pictures; the same --num-points",
             )
 
 
 def _features(info: dict[str, Any]) -> dict[str, Any]:
-    """Returns the features by kind and shape, and the frame rate; other descriptions may differ."""
+    """Returns types and shapes of the features, and the frame rate; other descriptions may differ."""
     kinds = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in info["features"].items()}
     return {**kinds, "fps": info["fps"]}
 
 
 def one_workspace(roots: Sequence[Path]) -> Workspace:
-    """Returns the box of the clouds of all these datasets; raises `DatasetError` if they differ."""
+    """Returns the common workspace of all these datasets' clouds; raises `DatasetError` if they differ."""
     found = {root: workspace_of(root, load_check(root, recordings=True)["features"]) for root in roots}
     if len(set(found.values())) > 1:
         raise DatasetError(

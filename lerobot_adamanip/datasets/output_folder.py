@@ -1,6 +1,6 @@
-"""Output folders: resolve, lock and probe the target before work begins; keep unfinished output in a folder beside it.
+"""Output folders: resolve, lock and probe the target before work starts; keep unfinished output in a work folder.
 
-The suffix of that work folder belongs to one command. A command removes nothing that another one has left.
+The work folder is beside the target; its suffix belongs to one command. No command removes another one's output.
 """
 
 from __future__ import annotations
@@ -25,34 +25,34 @@ WORK_FOLDERS = {
     WRITING: ("dataset",),
     CONVERTING: ("episodes", "dataset", "merged"),
 }
-"""Suffix -> names that may be in such a folder."""
+"""Suffix -> allowed names in such a folder."""
 _RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
-"""Suffix -> command that resumes from the episodes in its work folder."""
+"""Suffix -> command that can resume from the episodes there."""
 _EPISODE_FOLDERS = ("episodes", "failed")
 _PROBE = "probe"
 MIN_FREE_BYTES = 20_000_000
-"""Free space that every output needs beside its data."""
+"""Free space that is needed in addition to the data."""
 
 
 @dataclass(frozen=True)
 class OutputFolder:
-    """A locked output folder: ``root``, resolved, of the finished dataset, and ``suffix`` of the work folder."""
+    """A locked output folder: resolved ``root`` of the finished dataset, and ``suffix`` of the work folder."""
 
     root: Path
     suffix: str
 
     @property
     def work(self) -> Path:
-        """Folder beside ``root`` for what is unfinished."""
+        """Folder beside ``root`` for unfinished output."""
         return self.root.with_name(self.root.name + self.suffix)
 
     def fresh(self, name: str) -> Path:
-        """Returns a free path in the work folder; removes what an interrupted run built there."""
+        """Returns a free path in the work folder, after removing leftovers of an interrupted run."""
         files.remove_tree(self.work / name)
         return self.work / name
 
     def require_free(self) -> None:
-        """Raises `DatasetError` if something is at ``root``, or another command's episodes wait to become it."""
+        """Raises `DatasetError` if ``root`` exists, or another command has unfinished episodes for it."""
         if not is_free(self.root):
             raise DatasetError(
                 "There is something at the root of the new dataset.",
@@ -71,7 +71,7 @@ class OutputFolder:
                 )
 
     def require_room(self, data_bytes: int = 0) -> None:
-        """Raises `DatasetError` if the disk has no room for so much data."""
+        """Raises `DatasetError` if the disk has too little free space for the data."""
         free, needed = shutil.disk_usage(self.work).free, data_bytes + MIN_FREE_BYTES
         if free < needed:
             raise DatasetError(
@@ -88,7 +88,7 @@ class OutputFolder:
         self.discard()
 
     def discard(self) -> None:
-        """Removes the work folder, whose episodes are published or can be made again."""
+        """Removes the work folder; its episodes are published or can be recorded again."""
         for name in WORK_FOLDERS[self.suffix]:
             path = self.work / name
             if path.is_dir():
@@ -100,10 +100,10 @@ class OutputFolder:
 
 @contextlib.contextmanager
 def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
-    """Locks an output folder, makes its work folder, and probes that the finished dataset can be moved into place.
+    """Locks an output folder, creates its work folder, and tests that the finished dataset can be moved into place.
 
     Raises:
-        DatasetError: it cannot be written there, another command is at work there, or the work folder is not ours.
+        DatasetError: the folder is not writable, another command uses it, or the work folder has foreign files.
     """
     output = OutputFolder(resolve_output(target), suffix)
     made = [folder for folder in output.root.parents if not folder.exists()]
@@ -122,14 +122,14 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:
-    """Removes empty folders, the innermost first, up to one that is not empty."""
+    """Removes empty folders, innermost first, and stops at the first that is not empty."""
     with contextlib.suppress(OSError):
         for folder in folders:
             folder.rmdir()
 
 
 def resolve_output(target: str | Path) -> Path:
-    """Returns the folder that a path names, without links and ``..``; raises `DatasetError`."""
+    """Returns the resolved folder of a path, without links and ``..``; raises `DatasetError`."""
     try:
         root = Path(target).expanduser().resolve()
     except (OSError, RuntimeError) as error:
@@ -140,12 +140,12 @@ def resolve_output(target: str | Path) -> Path:
 
 
 def is_free(root: Path) -> bool:
-    """Whether nothing is at a path, or an empty folder."""
+    """Returns whether a path does not exist or is an empty folder."""
     return not root.exists() or (root.is_dir() and not any(root.iterdir()))
 
 
 def count_episodes(work: Path) -> int:
-    """Returns how many recorded episodes wait in a work folder."""
+    """Returns the number of recorded episodes in a work folder."""
     return sum(len(list((work / name).glob("*.safetensors"))) for name in _EPISODE_FOLDERS)
 
 
@@ -156,9 +156,9 @@ def lock_path(root: Path) -> Path:
 
 @contextlib.contextmanager
 def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
-    """Locks a resolved output folder against other commands of ours. The lock of a process that dies is released.
+    """Locks a resolved output folder against this project's other commands. A dead process's lock is released.
 
-    An ``optional`` lock is done without where no file can be written beside the folder.
+    An ``optional`` lock is skipped if no file can be written beside the folder.
 
     Raises:
         DatasetError: another process has the lock.
@@ -187,7 +187,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
 
 
 def _locked(path: Path) -> int:
-    """Returns the descriptor of a locked file that is still at its path: its last owner may have removed it."""
+    """Returns the descriptor of a locked file, and makes sure that its last owner has not removed it."""
     while True:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o644)
         try:
@@ -203,7 +203,7 @@ def _locked(path: Path) -> int:
 
 
 def _close_locks() -> None:
-    """Closes inherited locks in a forked process, such as LeRobot's encoder, which may outlive its parent."""
+    """Closes inherited locks in a forked process, for example LeRobot's encoder, which may outlive its parent."""
     while _held:
         os.close(_held.pop())
 
@@ -228,7 +228,7 @@ def _require_ours(work: Path, names: tuple[str, ...]) -> None:
 
 
 def _probe(output: OutputFolder) -> None:
-    """Raises `OSError` if a folder in the work folder cannot become ``root`` later: a mount, another file system."""
+    """Raises `OSError` if a work folder cannot be moved to ``root`` later: mount point, other file system."""
     probe = output.work / _PROBE
     moved = output.root if output.root.is_dir() else output.root.with_name(f".{output.root.name}.{_PROBE}")
     if is_free(moved):

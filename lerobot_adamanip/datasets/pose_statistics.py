@@ -1,4 +1,4 @@
-"""Statistics that leave rotation and gripper unscaled, for the columns that hold poses by name."""
+"""Statistics that leave rotation and gripper unscaled, for columns whose names are those of poses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lerobot_adamanip.util import files
 def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics:
     """Returns dataset statistics with fixed ranges of rotation and gripper, see `schema.fix_pose_statistics`.
 
-    State and action change where their names in ``features`` begin with those of a pose.
+    Changes state and action if their names in ``features`` start with those of a pose.
     """
     poses = {
         key: stats[key]
@@ -28,9 +28,9 @@ def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics
 
 
 def leave_poses_unscaled(root: Path | str) -> None:
-    """Fixes the ranges of rotation and gripper in ``meta/stats.json``, for every training on a dataset. Idempotent.
+    """Fixes the ranges of rotation and gripper in ``meta/stats.json``, for every training on this dataset. Idempotent.
 
-    LeRobot makes a policy's normalizer from that file. `adamanip check` accepts both kinds of ranges.
+    LeRobot builds a policy's normaliser from that file. `adamanip check` accepts fixed and measured ranges.
 
     Raises:
         OSError: there is no ``meta/stats.json`` or no ``meta/info.json``.

@@ -1,4 +1,4 @@
-"""Open a dataset, with one clear error if it is missing, half written, or of another layout."""
+"""Open a dataset; raise one clear error if it is missing, half written, or has another layout."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from lerobot_adamanip.util.json_fields import parse, read
 
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-"""LeRobot's own templates. A dataset that names other places in its metadata is refused: they could lie anywhere."""
+"""LeRobot's templates. Datasets with other paths in their metadata are refused: those could point anywhere."""
 MAX_STATISTICS_BYTES = 100_000_000
 JSON_COLUMNS = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
 """Columns of episodes that hold JSON."""
@@ -33,12 +33,12 @@ def load_check(root: str | Path, *, num_points: int | None = None, recordings: b
 
     Args:
         root: folder of a LeRobotDataset.
-        num_points: points per cloud it has to have; any number if None.
-        recordings: accept a robot's recording too, whose rows are ticks and have no cloud.
+        num_points: required number of points per cloud; None for any.
+        recordings: also accept a robot's recording, whose rows are ticks without clouds.
 
     Raises:
-        DatasetError: if it is missing, half written (no metadata, no Parquet footer, rows or videos missing), or lacks
-            a column of the contract or has it in another shape.
+        DatasetError: it is missing or half written (no metadata, no Parquet footer, missing rows or videos), or a
+            column of the contract is missing or has another shape.
     """
     folder = Path(root).absolute()
     if not folder.is_dir():
@@ -57,7 +57,7 @@ def load_check(root: str | Path, *, num_points: int | None = None, recordings: b
 
 
 def open_dataset(root: str | Path, *, num_points: int | None = None, **options: Any) -> Any:
-    """Returns a checked ``LeRobotDataset``. ``options`` are passed on (``episodes``, ``delta_timestamps``, ...)."""
+    """Returns a checked ``LeRobotDataset``; passes ``options`` on (``episodes``, ``delta_timestamps``, ...)."""
     load_check(root, num_points=num_points)
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -73,7 +73,7 @@ def episode_table(root: str | Path) -> pa.Table:
 
 
 def episode_records(root: str | Path) -> list[dict[str, Any]]:
-    """Returns the columns of each episode, JSON decoded; raises `DatasetError` if some are missing."""
+    """Returns each episode's columns, with JSON decoded; raises `DatasetError` if some are missing."""
     rows: list[dict[str, Any]] = episode_table(root).to_pylist()
     try:
         return [{**row, **{name: parse(row[name]) for name in JSON_COLUMNS}} for row in rows]
@@ -87,7 +87,7 @@ def episode_records(root: str | Path) -> list[dict[str, Any]]:
 
 
 def missing_dataset(folder: Path) -> DatasetError:
-    """Returns the error for a folder without a dataset; it names an unfinished collection beside it."""
+    """Returns the error for a folder without a dataset; mentions an unfinished collection beside it."""
     partial = CollectionPaths(folder.resolve())
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
@@ -106,16 +106,16 @@ def missing_dataset(folder: Path) -> DatasetError:
 
 
 def as_typed(folder: Path) -> str:
-    """Returns a folder's path as a user types it here: relative where it lies below the working directory."""
+    """Returns a folder's path as a user types it: relative if it is below the working directory."""
     here = Path.cwd()
     return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
 
 
 def workspace_of(root: Path, features: dict[str, Any]) -> Workspace:
-    """Returns the box of a dataset's clouds: from its manifest, or the column's description, or the default."""
+    """Returns the workspace of a dataset's clouds: from the manifest, the column's description, or the default."""
     told: Any = (features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
     if manifest_path(root).exists():
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` says what is wrong
+        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` reports errors
             told = read(manifest_path(root))["collection"]["environment"]["workspace"]
     try:
         return DEFAULT_WORKSPACE if told is None else Workspace(tuple(told["lower"]), tuple(told["upper"]))
@@ -146,11 +146,11 @@ def _half_written(what: object) -> DatasetError:
 
 
 def read_info(folder: Path) -> dict[str, Any]:
-    """Returns ``meta/info.json``, whose columns and places can be used.
+    """Returns ``meta/info.json`` after checking its columns and paths.
 
     Raises:
-        OSError: it is not there.
-        ValueError: it is no JSON, or says what cannot be.
+        OSError: it does not exist.
+        ValueError: it is not JSON, or has invalid values.
     """
     info: dict[str, Any] = read(folder / "meta" / "info.json")
     try:
@@ -168,7 +168,7 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 
 def _check_feature(key: str, feature: dict[str, Any]) -> None:
-    """Raises ValueError for an invalid column; a video's name is part of a path."""
+    """Raises ValueError for an invalid column; video names are parts of paths."""
     sizes = feature["shape"]
     sound = all(isinstance(size, int) and 0 < size <= 1_000_000 for size in sizes) and len(sizes) <= 4
     if not _KEY.fullmatch(key) or not sound or not _DTYPE.fullmatch(feature["dtype"]):
@@ -176,10 +176,10 @@ def _check_feature(key: str, feature: dict[str, Any]) -> None:
 
 
 def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
-    """Reads a whole dataset: every row, and every frame of its videos.
+    """Reads a whole dataset: all rows and all video frames.
 
     Raises:
-        DatasetError: if anything is missing or cannot be read, or rows of episodes are not ``lengths``, if given.
+        DatasetError: anything is missing or unreadable, or the episodes' numbers of rows differ from ``lengths``.
     """
     folder = Path(root).absolute()
     info = load_check(folder, recordings=True)

@@ -1,7 +1,7 @@
-"""Repair what a killed recorder leaves.
+"""Repair a dataset after its recorder was killed.
 
-The recorder of our robots (`lerobot_patches.durable_recording`) gives every episode files of its own, and counts the
-episode in ``meta/info.json`` last. A repair keeps the counted episodes and moves everything else into
+Our robots' recorder (`lerobot_patches.durable_recording`) writes separate files for every episode, and counts the
+episode in ``meta/info.json`` last. A repair keeps the counted episodes and moves everything else to
 ``<dataset>.before-repair``. It deletes nothing.
 """
 
@@ -30,9 +30,9 @@ class Repair:
 
     Attributes:
         root: folder of the dataset.
-        backup: folder with the original of every file that was moved or changed; absent if none was.
-        mended: one line for each change, in order.
-        left: one line for each damage that was left as it is.
+        backup: folder with the originals of all moved or changed files; absent if there are none.
+        mended: one line per change, in order.
+        left: one line per damage that remains.
     """
 
     root: Path
@@ -56,7 +56,7 @@ class Repair:
         self._note(path, f"moved away, {why}")
 
     def replace(self, path: Path, content: Mapping[str, Any], what: str) -> None:
-        """Writes a JSON file; copies the one that was there into the backup."""
+        """Writes a JSON file, after copying the old one into the backup."""
         if path.exists():
             self._back_up(path, shutil.copy2)
         files.write_atomically(path, (json.dumps(content, indent=4) + "\n").encode())
@@ -76,10 +76,10 @@ class Repair:
 
 
 def repair(root: str | Path) -> Repair:
-    """Repairs a dataset whose recorder was killed. Can be interrupted and run again.
+    """Repairs a dataset whose recorder was killed. Can be interrupted and rerun.
 
     Raises:
-        DatasetError: there is no dataset, or another command is at work there.
+        DatasetError: there is no dataset, or another command uses it.
     """
     folder = resolve_output(require_dataset(root))
     done = Repair(folder, folder.with_name(folder.name + ".before-repair"))

@@ -1,6 +1,6 @@
-"""``meta/selection.json``: which episodes of which dataset a part holds, so that `adamanip merge` can restore it.
+"""``meta/selection.json``: the source episodes of a partial dataset, so that `adamanip merge` can restore it.
 
-A part of a part names the first dataset. The file may come from anywhere, so every field is checked.
+A part of a part refers to the first dataset. The file may be untrusted, so every field is checked.
 """
 
 from __future__ import annotations
@@ -36,21 +36,21 @@ class Selection:
     source: str
     """Hash of the dataset's metadata, see `identity`."""
     source_episodes: int
-    """How many it has."""
+    """Number of its episodes."""
     episodes: tuple[int, ...]
-    """Indices there, in the order of the part."""
+    """Episode indices in that dataset, in the order of the part."""
     made_with: tuple[str, ...] = ()
-    """The commands that chose them, in order; each takes DATASET, the result of the one before."""
+    """Commands that selected the episodes, in order; DATASET stands for the result of the previous one."""
 
     @property
     def is_whole(self) -> bool:
-        """Whether these are all episodes of the dataset, each once, in its order."""
+        """Whether these are all episodes of the dataset, once each and in order."""
         return self.episodes == tuple(range(self.source_episodes))
 
     def of(self, chosen: Sequence[int], command: Sequence[str]) -> Selection:
-        """Returns the selection of some of these episodes, by their places in `episodes`.
+        """Returns the selection of some of these episodes, given their positions in `episodes`.
 
-        ``command`` has the words of the command that chose them, without a path.
+        ``command`` are the words of the command that selected them, without a path.
         """
         episodes = tuple(self.episodes[place] for place in chosen)
         return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
@@ -62,10 +62,10 @@ def selection_path(root: Path) -> Path:
 
 
 def read_selection(root: Path, episodes: int) -> Selection:
-    """Returns the selection of a part; of any other dataset, all its own ``episodes``.
+    """Returns the selection of a part; for other datasets, all their ``episodes``.
 
     Raises:
-        DatasetError: the file cannot be read, or names another number of episodes.
+        DatasetError: the file cannot be read, or lists another number of episodes.
     """
     path = selection_path(root)
     if not path.exists():
@@ -75,26 +75,26 @@ def read_selection(root: Path, episodes: int) -> Selection:
         content.pop("format")
         found = Selection(**content)
         if len(found.episodes) != episodes or max(found.episodes) >= found.source_episodes:
-            raise ValueError(f"it names {len(found.episodes)} episodes, of {found.source_episodes}")
+            raise ValueError(f"it lists {len(found.episodes)} episodes of {found.source_episodes}")
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Cannot read which episodes this part of a dataset holds.",
             got=f"{path}: {error}",
             allowed=f"{episodes} indices, as `adamanip filter` and `adamanip split` write them",
-            hint="delete the file: the dataset is then one of its own",
+            hint="delete the file: the dataset is then independent",
         ) from error
     return found
 
 
 def write_selection(root: Path, selection: Selection) -> None:
-    """Writes the selection of a part; a whole dataset gets no file."""
+    """Writes the selection of a part; writes nothing for a whole dataset."""
     if not selection.is_whole:
         content = json.dumps({"format": FORMAT, **vars(selection)}, sort_keys=True)
         files.write_atomically(selection_path(root), f"{content}\n".encode())
 
 
 def identity(root: Path) -> str:
-    """Returns a hash of a dataset's metadata, which hold statistics of every episode."""
+    """Returns a hash of a dataset's metadata, which include statistics of every episode."""
     made = hashlib.sha256()
     for path in (root / "meta" / "info.json", *sorted((root / "meta" / "episodes").glob("*/*.parquet"))):
         made.update(path.read_bytes())

@@ -20,7 +20,7 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
 _PNG, _PNG_ENDS = ".png", ".png_ends"
-"""Added to the name of a column of images: files one after the other, and where each of them ends."""
+"""Suffixes of an image column: concatenated PNG files, and the end of each."""
 _RECORD = "record"
 
 
@@ -30,7 +30,7 @@ class RecordedEpisode:
 
     Attributes:
         columns: dataset column -> (T, ...) array, as `schema.dataset_features` lists them.
-        record: what describes it (object, seed, hidden state, ...), JSON-able.
+        record: description of the episode (object, seed, hidden state, ...), JSON-able.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -41,7 +41,7 @@ class RecordedEpisode:
 
 
 def shard_bytes(episode: RecordedEpisode) -> bytes:
-    """Returns an episode as safetensors; images losslessly as PNG, the record as JSON in the header."""
+    """Returns an episode as safetensors, with images as PNG (lossless) and the record as JSON in the header."""
     tensors = {key: np.ascontiguousarray(value) for key, value in episode.columns.items()}
     for key in filter(is_image_column, episode.columns):
         images = [_png(image) for image in tensors.pop(key)]
@@ -53,17 +53,17 @@ def shard_bytes(episode: RecordedEpisode) -> bytes:
 
 
 def write_shard(path: Path, episode: RecordedEpisode) -> None:
-    """Writes an episode, durably."""
+    """Writes an episode durably."""
     write_shard_bytes(path, shard_bytes(episode))
 
 
 def write_shard_bytes(path: Path, content: bytes) -> None:
-    """Writes an episode that is bytes already, durably."""
+    """Writes a serialised episode durably."""
     files.write_atomically(path, content, crash_points=("shard written", "shard in place"))
 
 
 def read_shard(path: Path) -> RecordedEpisode:
-    """Reads an episode back; raises `DatasetError` if the file is missing or damaged."""
+    """Reads an episode; raises `DatasetError` if the file is missing or damaged."""
     try:
         with safe_open(path, framework="numpy") as file:
             columns = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
@@ -84,7 +84,7 @@ def read_shard(path: Path) -> RecordedEpisode:
 
 
 def read_record(path: Path) -> dict[str, Any] | None:
-    """Returns only the record of an episode file, or None if the file is missing or damaged."""
+    """Returns the record of an episode file; None if the file is missing or damaged."""
     try:
         with safe_open(path, framework="numpy") as file:
             record: dict[str, Any] = json.loads(file.metadata()[_RECORD])

@@ -1,4 +1,4 @@
-"""A dataset to copy episodes from: its metadata by episode, and the rows of each."""
+"""Source dataset of copied episodes: metadata and rows of each episode."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _OF_LEROBOT_PREFIXES = ("stats/", "data/", "videos/", "meta/")
 
 @dataclass(frozen=True)
 class Source:
-    """A dataset to copy episodes from.
+    """Dataset that episodes are copied from.
 
     Attributes:
         root: its folder.
@@ -40,20 +40,20 @@ class Source:
         """Opens a dataset of key frames or a robot's recording.
 
         Raises:
-            DatasetError: it is missing, half written or of another kind.
+            DatasetError: it is missing, half written or another kind of dataset.
         """
         return cls(root.absolute(), load_check(root, recordings=True))
 
     @cached_property
     def episodes(self) -> pa.Table:
-        """One row per episode, statistics included, in order."""
+        """One row per episode, in order, including statistics."""
         paths = sorted((self.root / "meta" / "episodes").glob("*/*.parquet"))
         table = pa.concat_tables([pq.read_table(path) for path in paths], promote_options="default")
         return table.sort_by("episode_index").replace_schema_metadata(None)
 
     @cached_property
     def own_columns(self) -> pa.Table:
-        """The columns of `episodes` that are not LeRobot's."""
+        """Columns of `episodes` that are not LeRobot's."""
         names = self.episodes.column_names
         own = [name for name in names if name not in _OF_LEROBOT and not name.startswith(_OF_LEROBOT_PREFIXES)]
         return self.episodes.select(own)
@@ -66,7 +66,7 @@ class Source:
 
     @cached_property
     def selection(self) -> Selection:
-        """The dataset that this one is a part of, itself if of no other."""
+        """Selection that this dataset is; all its own episodes if it is not a part."""
         return read_selection(self.root, self.info["total_episodes"])
 
     @cached_property
@@ -79,12 +79,12 @@ class Source:
         return found
 
     def rows(self, row: Mapping[str, Any]) -> pa.Table:
-        """Returns the data rows of an episode, given its `row`; raises `DatasetError` if some are missing."""
+        """Returns the data rows of an episode, given its `row`; raises `DatasetError` if rows are missing."""
         name = DATA_PATH.format(chunk_index=row["data/chunk_index"], file_index=row["data/file_index"])
         wrong: object = f"its rows are not where they should be in {name}"
         try:
             file = self._files[name] = self._files.get(name) or pads.dataset(self.root / name, format="parquet")
-            # An episode is one row group wherever LeRobot or we wrote it: no other one is read.
+            # LeRobot and this project write an episode as one row group, so only that one is read.
             table = file.to_table(filter=pc.field("episode_index") == row["episode_index"])
             if table["index"].to_pylist() == list(range(row["dataset_from_index"], row["dataset_to_index"])):
                 return table
@@ -93,7 +93,7 @@ class Source:
         raise DatasetError(
             "Rows of a dataset cannot be read.",
             got=f"{self.root}, episode {row['episode_index']}: {wrong}",
-            allowed="rows of each episode, one after another",
+            allowed="consecutive rows of each episode",
             hint=f"adamanip check {self.root.name}",
         )
 

@@ -1,4 +1,4 @@
-"""`adamanip split`: a dataset as several parts, which are datasets themselves."""
+"""`adamanip split`: divide a dataset into parts, which are datasets themselves."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 EPISODE = "episode_index"
 _ROUNDING = 1e-6
 Parts = Mapping[str, Sequence[int]]
-"""Name -> indices of its episodes, ascending."""
+"""Name of a part -> its episode indices, ascending."""
 
 
 def split_episodes(
@@ -33,19 +33,19 @@ def split_episodes(
     seed: int = 0,
     progress: Progress = lambda done, total: None,
 ) -> Parts:
-    """Writes every episode of a dataset into one of several parts; returns the episodes of each.
+    """Writes each episode of a dataset to one of several parts; returns the episodes of each part.
 
     Args:
         root: of a dataset.
-        out: folder of the parts; one that does not exist.
-        shares: name of a part -> its share; 1 together. None for a part for each value of ``by``.
-        by: name of a column, see `episode_facts`: episodes of one value stay together. Shares are of its values.
+        out: folder of the parts, which must not exist.
+        shares: name of a part -> its share; they add up to 1. None makes one part for each value of ``by``.
+        by: column, see `episode_facts`. Episodes with equal values stay together; shares are of the values.
         seed: of the random assignment.
         progress: called after each episode.
 
     Raises:
-        ConfigurationError: shares that do not make 1, an unknown column, or fewer values than parts.
-        DatasetError: the dataset is damaged, or something is at ``out``.
+        ConfigurationError: the shares do not add up to 1, the column is unknown, or there are fewer values than parts.
+        DatasetError: the dataset is damaged, or ``out`` exists.
     """
     with owned_output(out, WRITING) as output:
         output.require_free()
@@ -75,7 +75,7 @@ def _tell(progress: Progress, before: int, total: int, done: int, _: int) -> Non
 
 
 def assign(facts: Sequence[Facts], shares: Mapping[str, float] | None, *, by: str, seed: int) -> Parts:
-    """Returns the episodes of each part, see `split_episodes`; depends on nothing but the arguments."""
+    """Returns the episodes of each part, see `split_episodes`; depends on its arguments only."""
     groups = _groups(facts, by)
     if shares is None:
         return {_folder_name(by, value): episodes for value, episodes in groups.items()}
@@ -96,7 +96,7 @@ def _groups(facts: Sequence[Facts], by: str) -> dict[Any, list[int]]:
     if None in found:
         known = [name for name in facts[0] if all(each.get(name) is not None for each in facts)]
         raise ConfigurationError(
-            "Not every episode has such a column.", got=repr(by), allowed=", ".join(known), hint="--by object_id"
+            "Not every episode has this column.", got=repr(by), allowed=", ".join(known), hint="--by object_id"
         )
     return {value: found[value] for value in sorted(found)}
 
@@ -116,22 +116,22 @@ def _folder_name(by: str, value: object) -> str:
 def _check_shares(shares: Mapping[str, float], groups: int, by: str) -> None:
     if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > _ROUNDING:
         raise ConfigurationError(
-            "These are no parts of a whole.",
+            "These are not shares of one dataset.",
             got=", ".join(f"{name}={share:g}" for name, share in shares.items()),
-            allowed="two or more shares above 0 that make 1 together",
+            allowed="two or more shares above 0 that add up to 1",
             hint="--parts train=0.8,validation=0.2",
         )
     if groups < len(shares):
         raise ConfigurationError(
-            "There is not enough to part.",
+            "There are fewer values than parts.",
             got=f"{groups} different {by} for {len(shares)} parts",
-            allowed="as many as parts, or more",
+            allowed="at least as many values as parts",
             hint="fewer parts, or without --by",
         )
 
 
 def _counts(shares: Sequence[float], total: int) -> list[int]:
-    """Returns how many of ``total`` each share gets: largest remainders, and at least one each."""
+    """Returns the count of each share of ``total``, by largest remainders; at least one each."""
     exact = np.multiply(shares, total)
     counts = np.maximum(1, (exact + _ROUNDING).astype(int))
     while counts.sum() < total:

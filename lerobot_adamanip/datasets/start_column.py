@@ -1,4 +1,4 @@
-"""Column ``start`` of an episode: at rest, or the actions before its recording begins."""
+"""Column ``start`` of an episode: at rest, or the actions before the recording starts."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ Actions = NDArray[np.float32]
 
 
 def start_column(actions: Actions) -> Any:
-    """Returns what column ``start`` holds, before it becomes JSON: `RESET`, or the actions that led there."""
+    """Returns the value of column ``start``, before its conversion to JSON: `RESET`, or the actions up to the start."""
     return {"actions": [[float(value) for value in row] for row in actions]} if len(actions) else RESET
 
 
 def read_start(value: str) -> Actions:
-    """Returns the (n, 10) actions that column ``start`` tells of; raises ValueError for anything else."""
+    """Returns the (n, 10) actions in a value of column ``start``; raises ValueError for an invalid value."""
     content = parse(value)
     if content == RESET:
         return np.zeros((0, ACTION_DIM), np.float32)

@@ -20,9 +20,9 @@ QUANTILES = {"q01": 0.01, "q10": 0.10, "q50": 0.50, "q90": 0.90, "q99": 0.99}
 def compute_statistics(
     columns: Mapping[str, Any], features: Mapping[str, Mapping[str, Any]]
 ) -> dict[str, dict[str, Any]]:
-    """Computes an episode's statistics by LeRobot's function; those of clouds here, a hundred times as fast.
+    """Computes an episode's statistics by LeRobot's function; clouds by a function that is a hundred times as fast.
 
-    Takes column -> (T, ...) values, or paths of T pictures; returns column -> statistic -> values in a row's shape.
+    ``columns`` are (T, ...) values, or paths of T images. Returns column -> statistic -> values in a row's shape.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
 
@@ -33,7 +33,7 @@ def compute_statistics(
 
 
 def cloud_statistics(clouds: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
-    """Returns the statistics of clouds (T, 3 N) as LeRobot has them, quantiles to within a bin of its histograms."""
+    """Returns LeRobot's statistics of clouds (T, 3 N); its quantiles differ by less than a histogram bin."""
     names, shares = zip(*QUANTILES.items(), strict=True)
     quantiles = np.quantile(clouds, shares, axis=0, method="inverted_cdf")
     return {
@@ -47,12 +47,12 @@ def cloud_statistics(clouds: NDArray[np.float32]) -> dict[str, NDArray[Any]]:
 
 
 def write_episodes(path: Path, table: pa.Table) -> None:
-    """Writes a file of ``meta/episodes``, durably.
+    """Writes a file of ``meta/episodes`` durably.
 
-    Statistics of clouds are 9 numbers for each of a row's: compressed in this way they take half of the space.
+    Each number of a cloud has 9 statistics; this compression halves their size.
     """
     repeated = [name for name in table.column_names if not name.startswith("stats/")]
-    # Hugging Face's schema note lists the columns of before; without it the reader takes the types of the file.
+    # Hugging Face's schema note lists the old columns; without it the reader uses the types of the file.
     plain, sink = table.replace_schema_metadata(None), pa.BufferOutputStream()
     pq.write_table(plain, sink, compression="zstd", use_dictionary=repeated)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -60,7 +60,7 @@ def write_episodes(path: Path, table: pa.Table) -> None:
 
 
 def sort_statistics(root: Path) -> None:
-    """Sorts the statistics that LeRobot wrote by column: its order changes from run to run. Their values stay."""
+    """Sorts LeRobot's statistics by column, because their order changes between runs. Values do not change."""
     from lerobot.datasets.io_utils import load_stats, write_stats
 
     stats = load_stats(root) or {}

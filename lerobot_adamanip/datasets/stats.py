@@ -28,9 +28,9 @@ from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 from lerobot_adamanip.util.json_fields import integer, parse, read
 
 RECORDED = Group("source", "recorded on a robot")
-"""Group of a mix's episodes without an object of ours."""
+"""Group of a robot's episodes in a mixed dataset."""
 _COUNTS = {"tries": schema.TRIED, "failed_tries": schema.FAILED, "success": schema.SUCCESS}
-"""Column of episodes -> the column of rows that it counts."""
+"""Episode column -> row column that it is counted from."""
 
 
 @dataclass(frozen=True)
@@ -39,23 +39,23 @@ class GroupStats:
 
     episodes: int
     labelled: int
-    """Of the episodes, how many have labels of tries; a robot's have none."""
+    """Number of episodes with labels of tries; a robot's have none."""
     key_frames: int
-    """An episode's last row, the final observation, is none."""
+    """Number of key frames, without the final observations."""
     tries: int
     failed_tries: int
     recovered: Rate
-    """Of the episodes with a failed try, those that ended in success."""
+    """Success rate of the episodes with a failed try."""
     success: Rate
 
 
 @dataclass(frozen=True)
 class Attempts:
-    """Attempts that were made for a dataset."""
+    """Attempts at the episodes of a dataset."""
 
     kept: Rate
     given_up: int
-    """Episodes that were asked for, and no attempt at them succeeded."""
+    """Number of requested episodes without a successful attempt."""
     hidden: Mapping[str, tuple[int, int]]
     """Hidden value -> (kept, attempted)."""
 
@@ -67,20 +67,20 @@ class DatasetStats:
     root: str
     objects: int
     rows: int
-    """Final observations included."""
+    """Number of rows, including final observations."""
     bytes: int
     late: int
-    """Episodes that start late."""
+    """Number of episodes that start from mid-task states."""
     lengths: Mapping[int, int]
-    """Key frames of an episode -> episodes."""
+    """Key frames of an episode -> number of episodes."""
     failures: Mapping[int, int]
-    """Failed tries of an episode -> episodes, of those with labels."""
+    """Failed tries of an episode -> number of labelled episodes."""
     groups: Mapping[Group, GroupStats]
-    """All episodes first, then by category, split of objects, and hidden value."""
+    """All episodes first, then groups by category, split of objects, and hidden value."""
     recovery: Recovery | None
-    """What follows a failed try; None where no episode has its tries in order."""
+    """Results after a failed try; None if no episode stores its tries in order."""
     attempts: Attempts | None
-    """That were made for it; None where they are unknown, as for merged datasets and parts of others."""
+    """None if unknown, as for merged datasets and parts of others."""
 
     @property
     def overall(self) -> GroupStats:
@@ -93,7 +93,7 @@ class DatasetStats:
         return {"min": each[0], "median": statistics.median(each), "mean": statistics.mean(each), "max": each[-1]}
 
     def to_json(self) -> dict[str, Any]:
-        """Returns a JSON-able dictionary; groups as a list of ``by``, ``name`` and their numbers."""
+        """Returns a JSON-able dictionary; groups are a list of ``by``, ``name`` and their numbers."""
         plain = asdict(replace(self, groups={}))
         groups = [
             {"by": group.by, "name": group.name, **asdict(found), **success_summary(found.success)}
@@ -103,7 +103,7 @@ class DatasetStats:
 
 
 def read_stats(root: str | Path) -> DatasetStats:
-    """Counts a dataset; reads its rows only where its episodes lack the counts.
+    """Counts a dataset; reads its rows only if the columns of its episodes lack the counts.
 
     Raises:
         DatasetError: it is missing or half written, or the columns of its episodes are invalid.
@@ -116,7 +116,7 @@ def read_stats(root: str | Path) -> DatasetStats:
         attempts = _attempts(folder)
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
         raise DatasetError(
-            "The dataset tells what cannot be.",
+            "The dataset has invalid values.",
             got=f"{folder.name}: {error}",
             allowed="columns as `adamanip collect` writes them",
             hint=f"adamanip check {root}",
@@ -137,10 +137,10 @@ def read_stats(root: str | Path) -> DatasetStats:
 
 
 def _groups(rows: Sequence[Mapping[str, Any]], records: Sequence[EpisodeRecord]) -> dict[Group, GroupStats]:
-    """Counts all episodes, then by group those with an object, then a robot's."""
+    """Counts all episodes, then groups of simulated episodes, then a robot's."""
     known = [record for record in records if record.object_id]
     boundaries = hidden_boundaries(known)
-    # All seeds of demonstrations are of one split of scenes.
+    # All demonstrations have seeds of the same split of scenes.
     shown = [group for group in worth_showing(group_records(known, boundaries)) if group.by not in ("all", "scenes")]
     found: dict[Group, list[Mapping[str, Any]]] = {ALL: list(rows), **{group: [] for group in shown}}
     for row, record in zip(rows, records, strict=True):
@@ -168,7 +168,7 @@ def _count(rows: Sequence[Mapping[str, Any]]) -> GroupStats:
 
 
 def _record(row: Mapping[str, Any]) -> EpisodeRecord:
-    """Returns an episode's record from its columns, with its tries in order where they are stored."""
+    """Returns an episode's record from its columns, with the sequence of its tries if it is stored."""
     identifier, seed = str(row.get("object_id") or ""), int(row.get("seed") or 0)
     try:
         tries = EpisodeRecord.from_json(parse(row.get("episode_record") or "null")).try_sequence
@@ -197,7 +197,7 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
 def _with_counts(
     rows: Sequence[Mapping[str, Any]], folder: Path, features: Mapping[str, Any]
 ) -> Sequence[Mapping[str, Any]]:
-    """Returns the columns of episodes; ``tries``, ``failed_tries``, ``success`` that are unknown come from the rows."""
+    """Returns the columns of episodes; counts missing ``tries``, ``failed_tries`` and ``success`` from the rows."""
     if all(row.get(name) is not None for row in rows for name in _COUNTS):
         return rows
     wanted = {name: key for name, key in _COUNTS.items() if key in features}

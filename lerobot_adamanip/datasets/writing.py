@@ -17,7 +17,7 @@ from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_e
 from lerobot_adamanip.datasets.statistics import write_episodes
 
 _VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
-"""LeRobot copies the whole video file to append an episode: small files keep that cheap."""
+"""Files are small because LeRobot copies the whole video file to append an episode."""
 
 
 def create_dataset(
@@ -37,9 +37,9 @@ def create_dataset(
         repo_id: for LeRobot.
         num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
-        intrinsics: (3, 3) of the front camera for that size [px], if known.
-        cameras: names of those that took the images, the front one among them.
-        workspace: box of the clouds, where no manifest tells it and it is not the default one.
+        intrinsics: (3, 3) of the front camera at that size [px], if known.
+        cameras: names of the cameras of the images, including the front one.
+        workspace: box of the clouds, if no manifest has it and it is not the default.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -61,14 +61,14 @@ def create_dataset(
 
 
 def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
-    """Returns how a column's description tells the box of its clouds."""
+    """Returns the entry for a cloud column's description that holds the workspace."""
     if workspace is None:
         return {}
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
 
 
 def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:
-    """Adds columns, a value for each episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
+    """Adds columns, one value per episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
     added = columns if isinstance(columns, pa.Table) else pa.table(columns)
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         table = pq.read_table(path)
@@ -80,7 +80,7 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
 
 
 def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
-    """Returns ``meta/cameras.json``: constant parameters, and the names of those that vary by episode."""
+    """Returns ``meta/cameras.json``: constant parameters, and names of those that vary between episodes."""
     fixed = {key: value for key, value in cameras[0].items() if all(camera.get(key) == value for camera in cameras)}
     content = {
         "front": {
@@ -93,5 +93,5 @@ def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
 
 
 def to_json(value: Any, indent: int | None = None) -> str:
-    """Returns JSON with sorted keys, so that equal values are equal bytes."""
+    """Returns JSON with sorted keys, so that equal values give equal bytes."""
     return json.dumps(value, sort_keys=True, indent=indent)

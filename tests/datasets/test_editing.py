@@ -175,7 +175,7 @@ def test_a_lerobot_with_another_writer_is_refused(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delattr(DatasetWriter, "_save_episode_video")
-    with pytest.raises(AdaManipError, match="writes datasets otherwise"):
+    with pytest.raises(AdaManipError, match="writes datasets differently"):
         filter_episodes(finished, [], tmp_path / "new")
     assert not (tmp_path / "new").exists()
 
@@ -252,14 +252,14 @@ def test_a_selection_that_cannot_be_is_one_clear_error(tmp_path: Path, content: 
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["--parts", "a=0.5,b=0.6"], "no parts of a whole"),
-        (["--parts", "a=1"], "no parts of a whole"),
+        (["--parts", "a=0.5,b=0.6"], "not shares of one"),
+        (["--parts", "a=1"], "not shares of one"),
         (["--parts", "a=0.5,a=0.5"], "Wrong parts"),
         (["--parts", "../a=0.5,b=0.5"], "Wrong parts"),
         (["--parts", "a=half,b=0.5"], "Wrong parts"),
         ([], "Wrong parts"),
-        (["--by", "nothing"], "has such"),
-        (["--parts", "a=0.2,b=0.3,c=0.5", "--by", "object_id"], "not enough to part"),
+        (["--by", "nothing"], "has this"),
+        (["--parts", "a=0.2,b=0.3,c=0.5", "--by", "object_id"], "fewer values than parts"),
         (["--by", "task"], "name of a folder"),
     ],
 )

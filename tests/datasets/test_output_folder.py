@@ -302,5 +302,5 @@ def test_names_that_the_hub_refuses_are_refused_first(tmp_path: Path, name: str,
         lambda: convert([tmp_path], tmp_path / "a", ConvertOptions(repo_id=name)),
     ]
     for call in calls:
-        assert "The Hub takes no repository of this name" in refuses(ConfigurationError, call)
+        assert "The Hub does not accept this repository name" in refuses(ConfigurationError, call)
     assert list(tmp_path.iterdir()) == []

@@ -49,20 +49,20 @@ COLUMNS = {
 _SIZES = (
     (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"),
 )  # fmt: skip
-"""Number of rows, and the Hub's word for datasets below it."""
+"""Number of rows, and the Hub's size category for datasets with fewer rows."""
 
 
 def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | None = None) -> str:
-    """Returns the README of a finished dataset. It holds no path of this machine.
+    """Returns the README of a finished dataset. It contains no local path.
 
     Args:
         folder: of the dataset.
-        name: of the folder in the command that collects the same.
+        name: of the output folder in the card's `adamanip collect` command.
         repo_id: its name on the Hub.
-        assets: folder of the external assets that it was collected with, if any.
+        assets: folder of the external assets of the collection, if any.
 
     Raises:
-        DatasetError: its manifest or its list of attempts is damaged, or it lacks the columns of a collection.
+        DatasetError: the manifest or the list of attempts is damaged, or columns of a collection are missing.
     """
     path = manifest_path(folder)
     manifest = read_manifest(path, assets) if path.exists() else None
@@ -175,7 +175,7 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
 def _attempted(
     manifest: Manifest | None, attempts: list[AttemptRecord], records: list[dict[str, Any]]
 ) -> dict[str, object]:
-    """Returns the counts of the collection's attempts, or of the episodes where those are unknown."""
+    """Returns the counts of the collection's attempts, or of the episodes if the attempts are unknown."""
     counts = None if manifest is None else manifest.attempts
     if counts is None:
         attempts = [_as_attempt(record) for record in records]
@@ -196,6 +196,6 @@ def _attempted(
 
 
 def _as_attempt(record: dict[str, Any]) -> AttemptRecord:
-    """Returns an episode as the only known attempt at it."""
+    """Returns an episode as an attempt, for datasets whose other attempts are unknown."""
     facts = {key: record[key] for key in ("object_id", "slot", "attempt", "seed", "hidden_state", "late")}
     return AttemptRecord(**facts, kept=True, reason=SUCCESS if record["success"] else "no success", key_frames=0)

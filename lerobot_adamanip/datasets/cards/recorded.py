@@ -16,20 +16,20 @@ from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import parse
 
 RECORDED = "recorded"
-"""Column of episodes: the recording that a robot's episode was cut from, as JSON."""
+"""Column of episodes: source recording of a robot's episode, as JSON."""
 
 
 def has_recorded_episodes(root: Path) -> bool:
-    """Whether any of a dataset's episodes is a robot's."""
+    """Returns whether a dataset contains episodes of a robot."""
     table = episode_table(root)
     return RECORDED in table.column_names and table[RECORDED].null_count < len(table)
 
 
 def recorded_card(folder: Path, name: str, repo_id: str) -> str:
-    """Returns the README of a dataset with episodes of a robot, of a folder's name and a name on the Hub.
+    """Returns the README of a dataset with episodes of a robot, given its folder's name and its name on the Hub.
 
     Raises:
-        DatasetError: an episode tells neither its recording nor its object.
+        DatasetError: an episode has neither its recording nor its object.
     """
     info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
     rows = episode_table(folder).to_pylist()
@@ -50,7 +50,7 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
 
 
 def _source(row: Mapping[str, Any]) -> str:
-    """Returns what made an episode, and whether its tries are labelled, as cells of a table."""
+    """Returns table cells with the source of an episode, and whether its tries are labelled."""
     if row.get(RECORDED) is None:
         return f"simulated, {category_of(row['object_id']).replace('_', ' ')} | yes"
     told = parse(row[RECORDED])

@@ -1,1 +1,1 @@
-"""Is a recorded dataset what it says it is? Findings by kind, file, episode and frame; and mending what a kill left."""
+"""Check of a recorded dataset: findings by kind, file, episode and frame; and repair after a killed recorder."""

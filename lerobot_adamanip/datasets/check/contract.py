@@ -1,4 +1,4 @@
-"""Check columns against the contract: `lerobot_adamanip.contract.schema`."""
+"""Check columns against the contract, `lerobot_adamanip.contract.schema`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ OF_LEROBOT: Mapping[str, str] = {
 }  # fmt: skip
 """Columns that LeRobot adds to every dataset, and their dtypes."""
 REQUIRED = (schema.POINT_CLOUD, schema.STATE, schema.ACTION)
-"""Columns of every dataset of ours; a robot's may lack others, a collection has all."""
+"""Columns of every dataset of this project. A robot's may lack the other columns; a collection has all."""
 
 
 def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *, collected: bool) -> None:
-    """Reports columns that are missing or differ from the contract; ``collected`` datasets need every column."""
+    """Reports columns that are missing or differ from the contract; ``collected`` datasets must have all columns."""
     if is_dense(features):
         _check_dense(features, report)
         return
@@ -38,11 +38,11 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
                 report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}", INFO)
     for key in features:
         if key.startswith("observation.") and key not in contract and not is_image_column(key):
-            report.add("schema", f"{key} is not of the contract, and every policy would take it as an input", INFO)
+            report.add("schema", f"{key} is not in the contract; every policy would use it as an input", INFO)
 
 
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
-    """Checks a robot's recording: names in the contract's order, and LeRobot's columns."""
+    """Checks a robot's recording: order of the names, as in the contract, and LeRobot's columns."""
     for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
         found = names_of(features[key])
         if found[: len(names)] != list(names) or list(features[key]["shape"]) != [len(found)]:
@@ -53,7 +53,7 @@ def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> N
 
 
 def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Returns the contract for the dataset's number of points and size of pictures."""
+    """Returns the contract for this dataset's number of points and image size."""
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
     points = max(1, cloud[0] // 3) if cloud else schema.DEFAULT_NUM_POINTS
@@ -64,7 +64,7 @@ def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, 
 
 
 def _plain(value: object) -> object:
-    """Returns lists for tuples, and for names in groups, as LeRobot's robots have them."""
+    """Converts tuples, and grouped names as in LeRobot's robots, to lists."""
     if isinstance(value, Mapping):
         return [name for group in value.values() for name in group]
     return list(value) if isinstance(value, tuple) else value

@@ -1,4 +1,4 @@
-"""Check a whole dataset: one pass over everything, one file at a time. Nothing is written."""
+"""Check a whole dataset in one pass, one file at a time. Writes nothing."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def check(
     assets: Path | None = None,
     progress: Progress = lambda stage, done, total: None,
 ) -> Report:
-    """Checks a dataset: files, columns, counts, rows, videos, statistics, and its account of its collection.
+    """Checks a dataset: files, columns, counts, rows, videos, statistics and collection files.
 
     Args:
         root: folder of a LeRobotDataset.
-        assets: folder of external assets, if the dataset was recorded with any.
-        progress: called with stage (``rows``, ``frames``), how much of it is done, and all.
+        assets: folder of external assets, if they were used.
+        progress: called with stage (``rows``, ``frames``), number done and total number.
 
     Raises:
         DatasetError: there is no dataset.
@@ -62,7 +62,7 @@ def check(
 
 
 def require_dataset(root: str | Path) -> Path:
-    """Returns the folder of a dataset, whole or not; raises `DatasetError` if there is nothing of one."""
+    """Returns the folder of a dataset, complete or not; raises `DatasetError` if there is none."""
     folder = Path(root).absolute()
     if not (folder / INFO).exists() and not any(folder.glob("data/*/*.parquet")):
         raise missing_dataset(folder)
@@ -70,7 +70,7 @@ def require_dataset(root: str | Path) -> Path:
 
 
 def _check_rows(layout: Layout, stored: Stored, report: Report, progress: Progress) -> dict[int, dict[str, int]]:
-    """Checks the data files; returns episode -> label counts of its rows."""
+    """Checks the data files; returns episode -> label counts."""
     counted: dict[int, dict[str, int]] = {}
     workspace = workspace_of(layout.root, layout.features)
     for name, episodes in layout.by_data_file().items():

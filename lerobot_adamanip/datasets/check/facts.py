@@ -1,4 +1,4 @@
-"""Check the episodes' own columns, and the files of their collection: manifest, attempts, cameras."""
+"""Check the columns of episodes, and the collection's files: manifest, attempts, cameras."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from lerobot_adamanip.util.json_fields import flag, integer, mapping, optional, 
 
 COLLECTION = "meta/collection.json"
 Row = Mapping[str, Any]
-"""Columns of an episode."""
+"""Column values of an episode."""
 _ANY = text(r"(?s).*", "text")
 _VALUES = mapping(_ANY, lambda _, value: value, 64)
 _COUNT = integer(0, 2**31)
@@ -36,10 +36,10 @@ _SEED = integer(0, 2**63 - 1)
 
 @dataclass(frozen=True)
 class Collected:
-    """Collection that a dataset names.
+    """Collection that a dataset comes from.
 
     Attributes:
-        manifest: None where the folder of its external assets is not known.
+        manifest: None if the folder of its external assets is unknown.
         fingerprint: part -> hash or name.
     """
 
@@ -48,7 +48,7 @@ class Collected:
 
 
 def read_collection(root: Path, assets: Path | None, report: Report) -> Collected | None:
-    """Reads ``meta/collection.json``; None if there is none (a merged dataset), or, with a finding, if invalid."""
+    """Reads ``meta/collection.json``; returns None if there is none (merged dataset) or it is invalid (a finding)."""
     path = manifest_path(root)
     if not path.exists():
         return None
@@ -82,44 +82,44 @@ def count_labels(where: Rows, columns: Mapping[str, NDArray[Any]]) -> dict[int, 
 
 
 def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    """Checks recorded episodes: failed tries are counted on, success stays, the last row alone ends the episode.
+    """Checks recorded episodes: failed tries add up, success stays, and only the last row ends the episode.
 
-    For datasets with columns of episodes (`check_facts`): `EpisodeRecorder` writes both.
+    Applies to datasets with episode columns (`check_facts`): `EpisodeRecorder` writes both.
     """
     starts = where.starts()
     first = np.zeros(len(where), bool)
     first[starts] = True
     if schema.DONE in columns:
         wrong = columns[schema.DONE].astype(bool) != np.r_[first[1:], True]
-        report.add_rows("label", f"{schema.DONE} is not in the last row alone", where, wrong)
+        report.add_rows("label", f"{schema.DONE} is not true in the last row only", where, wrong)
     if schema.SUCCESS in columns:
         success = columns[schema.SUCCESS].astype(np.int8)
         wrong = ~first & (np.diff(success, prepend=success[:1]) < 0)
-        report.add_rows("label", f"{schema.SUCCESS} ends again", where, wrong)
+        report.add_rows("label", f"{schema.SUCCESS} turns false again", where, wrong)
     if schema.TRIAL in columns and schema.FAILED in columns:
         failed = columns[schema.FAILED].astype(np.int64)
         before = np.cumsum(failed) - failed
         counted = before - np.repeat(before[starts], np.diff(np.r_[starts, len(before)]))
         wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNLABELLED)
-        report.add_rows("label", f"{schema.TRIAL} is not the number of failed tries before", where, wrong)
+        report.add_rows("label", f"{schema.TRIAL} is not the number of earlier failed tries", where, wrong)
 
 
 def has_facts(layout: Layout) -> bool:
-    """Whether the dataset has episode columns of ours."""
+    """Returns whether the dataset has this project's episode columns."""
     return {"object_id", "tries"} <= set(layout.table.column_names)
 
 
 def check_facts(
     layout: Layout, collected: Collected | None, counted: Mapping[int, Mapping[str, int]], report: Report
 ) -> None:
-    """Checks the columns of episodes: by themselves, against counts of the rows, and against the collection."""
+    """Checks the columns of episodes for valid values, against counts of the rows, and against the collection."""
     if not has_facts(layout):
         return
     names = [name for name in layout.table.column_names if not name.startswith("stats/")]
     rows = layout.table.select(names).to_pylist()
     for row in rows:
         if row["object_id"] is None and row.get("recorded") is not None:
-            continue  # in a mix, an episode that a robot has recorded: no object of ours, no seed
+            continue  # an episode of a robot in a mixed dataset: no object, no seed
         number = row["episode_index"]
         try:
             _check_row(row)
@@ -141,7 +141,7 @@ def check_facts(
 
 
 def _check_row(row: Row) -> None:
-    """Raises ValueError for a row that cannot be."""
+    """Raises ValueError for invalid values."""
     object_id = text(r".{1,120}", "an object's id")("object_id", row["object_id"])
     (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
     _SEED("seed", row.get("seed"))
@@ -163,7 +163,7 @@ def _check_row(row: Row) -> None:
 
 
 def _check_place(row: Row, collected: Collected, report: Report) -> None:
-    """An episode is of the collection's code and objects, and of the seed that follows from its place."""
+    """Checks an episode's fingerprint, object and seed against its collection."""
     place, fingerprint = (row["listed_in"], row["episode_index"]), combined(collected.fingerprint)
     if row.get("fingerprint", fingerprint) != fingerprint:
         report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", *place)
@@ -172,27 +172,27 @@ def _check_place(row: Row, collected: Collected, report: Report) -> None:
     spec: CollectionSpec = collected.manifest.spec
     name = row["object_id"]
     if name not in spec.objects:
-        report.add("collection", f"{name} is none of the collection's objects", *place)
+        report.add("collection", f"{name} is not an object of the collection", *place)
     elif row["seed"] != episode_seed(spec.seed, category_of(name), name, row["slot"], row["attempt"]):
-        report.add("collection", f"seed {row['seed']} is not that of its place in the collection", *place)
+        report.add("collection", f"seed {row['seed']} does not follow from its place in the collection", *place)
 
 
 def _check_once(layout: Layout, rows: Sequence[Row], report: Report) -> None:
-    """No episode is there twice: a collection, or a seed, that was merged with itself."""
+    """Reports duplicate episodes, from a collection or a seed that was merged with itself."""
     name = f"stats/{schema.ACTION}/mean"
     means = layout.table[name].to_pylist() if name in layout.table.column_names else [None] * len(rows)
     seen: dict[tuple[object, ...], int] = {}
     for row, mean in zip(rows, means, strict=True):
         number = row["episode_index"]
         if number not in report.damaged:
-            # A policy that is corrected meets the seeds of demonstrations: what was done tells them apart.
+            # Corrections of a policy use the seeds of demonstrations, so the actions are compared too.
             same = seen.setdefault((row["object_id"], row.get("seed"), row["length"], str(mean)), number)
             if same != number:
-                report.add("facts", f"the same as episode {same}", row["listed_in"], number)
+                report.add("facts", f"it equals episode {same}", row["listed_in"], number)
 
 
 def _check_attempts(root: Path, collected: Collected, report: Report) -> None:
-    """There are as many lines as the manifest counts."""
+    """Checks that the list of attempts has as many lines as the manifest counts."""
     try:
         attempted = len(read_attempts(attempts_path(root)))
     except AdaManipError as error:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[str, int, int], None]
-"""Called with a stage's name, how much of it is done, and how much there is."""
+"""Called with a stage's name, the number done and the total number."""
 
 
 class Kind(NamedTuple):
-    """Meaning of a kind of finding, and what `adamanip check --repair` does about it."""
+    """Meaning of a kind of finding, and its repair by `adamanip check --repair`."""
 
     meaning: str
     repair: str
@@ -24,43 +24,43 @@ class Kind(NamedTuple):
 
 _NO = "no"
 KINDS: Mapping[str, Kind] = {
-    "missing": Kind("a file that the dataset names is not there", "`meta/stats.json` alone"),
+    "missing": Kind("a file that the dataset names does not exist", "`meta/stats.json` alone"),
     "unreadable": Kind(
         "a file, or a part of it, is cut off or cannot be parsed", "`meta/stats.json`, and files of no saved episode"
     ),
     "leftover": Kind("a temporary file or picture of a process that ended early", "moved away"),
-    "unlisted": Kind("rows, or frames of a video, of no episode", "files of no saved episode are moved away"),
-    "metadata": Kind("an episode's metadata contradicts itself, or the dataset is of another format", _NO),
-    "count": Kind("totals in `meta/info.json` are not those of the episodes", "counted again"),
-    "schema": Kind("a column is missing, or of another type, shape or names than the contract's", _NO),
-    "shape": Kind("a cell is empty, or of another shape than its column", _NO),
+    "unlisted": Kind("rows or video frames that belong to no episode", "files of no saved episode are moved away"),
+    "metadata": Kind("an episode's metadata contradicts itself, or the dataset has another format", _NO),
+    "count": Kind("totals in `meta/info.json` differ from the episodes", "counted again"),
+    "schema": Kind("a column is missing, or its type, shape or names differ from the contract's", _NO),
+    "shape": Kind("a cell is empty, or its shape differs from its column's", _NO),
     "length": Kind("an episode has more or fewer rows than its metadata says", _NO),
-    "index": Kind("`index`, `frame_index` or `episode_index` do not count on", _NO),
-    "timestamp": Kind("the time of a row, or of a frame, is not its number over the frame rate", _NO),
-    "task": Kind("a row's task does not exist, or is not its episode's", _NO),
+    "index": Kind("`index`, `frame_index` or `episode_index` are not consecutive", _NO),
+    "timestamp": Kind("the time of a row or frame is not its number divided by the frame rate", _NO),
+    "task": Kind("a row's task does not exist, or is not a task of its episode", _NO),
     "not-finite": Kind("NaN or infinity", _NO),
     "rotation": Kind("rotation 6D of a state's or an action's pose is not two orthonormal rows", _NO),
     "workspace": Kind("a cloud has points outside the workspace", _NO),
     "gripper": Kind("a gripper's opening is not in [0, 1]", _NO),
-    "label": Kind("a label is none of the contract's codes, or contradicts those before it", _NO),
-    "video-length": Kind("a video is shorter than its episodes, or cut elsewhere than they are", _NO),
-    "video-content": Kind("a video shows something else than its episode's statistics say", _NO),
-    "episode-statistics": Kind("an episode's statistics are not those of its rows", _NO),
-    "statistics": Kind("`meta/stats.json` is not that of the episodes", "computed again"),
-    "facts": Kind("an episode's columns (object, hidden state, tries ...) cannot be, or contradict its rows", _NO),
-    "collection": Kind("`meta/collection.json` cannot be, or an episode is none of that collection", _NO),
-    "fingerprint": Kind("an episode was recorded under another fingerprint than its collection", _NO),
+    "label": Kind("a label is not one of the contract's codes, or contradicts earlier labels", _NO),
+    "video-length": Kind("a video is shorter than its episodes, or is cut at other places", _NO),
+    "video-content": Kind("a video's colours differ from its episode's statistics", _NO),
+    "episode-statistics": Kind("an episode's statistics differ from those of its rows", _NO),
+    "statistics": Kind("`meta/stats.json` differs from the statistics of the episodes", "computed again"),
+    "facts": Kind("an episode's columns (object, hidden state, tries ...) are invalid, or contradict its rows", _NO),
+    "collection": Kind("`meta/collection.json` is invalid, or an episode does not belong to that collection", _NO),
+    "fingerprint": Kind("an episode's fingerprint differs from its collection's", _NO),
     "attempts": Kind("`meta/attempts.jsonl` has lost lines", _NO),
-    "replay": Kind("the simulator does not do again what was recorded (`--replay`)", _NO),
+    "replay": Kind("the simulator does not reproduce the recording (`--replay`)", _NO),
 }
 """Kind -> meaning. docs/checking.md shows this table."""
 MOST_OF_A_KIND = 200
-"""Findings of a kind that are listed; more are counted."""
+"""Largest number of listed findings of a kind; further ones are only counted."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One finding: a kind of `KINDS`, what is wrong, and its place: file, episode, and frame within the episode."""
+    """One finding: kind (of `KINDS`), message, and place: file, episode, and frame within the episode."""
 
     kind: str
     message: str
@@ -69,7 +69,7 @@ class Finding:
     frame: int | None = None
 
     def __str__(self) -> str:
-        """One line: kind, place, message."""
+        """Returns one line: kind, place, message."""
         episode = None if self.episode is None else f"episode {self.episode}"
         frame = None if self.frame is None else f"frame {self.frame}"
         place = ", ".join(filter(None, (self.file, episode, frame)))
@@ -78,7 +78,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Rows:
-    """Places of R rows: their file, and of each row its episode (R,) and its number within it (R,)."""
+    """Places of R rows: their file, and each row's episode (R,) and number within it (R,)."""
 
     file: str
     episodes: NDArray[np.int64]
@@ -88,7 +88,7 @@ class Rows:
         return len(self.episodes)
 
     def starts(self) -> NDArray[np.int64]:
-        """Returns the first row of each run of one episode's rows."""
+        """Returns the first row of each run of rows of one episode."""
         return np.flatnonzero(np.r_[True, np.diff(self.episodes) != 0])
 
     def runs(self) -> Iterator[tuple[int, slice]]:
@@ -103,10 +103,10 @@ class Report:
 
     Attributes:
         root: of the dataset.
-        episodes, rows: how many were checked.
+        episodes, rows: numbers of checked ones.
         findings: at most `MOST_OF_A_KIND` of each kind.
-        counts: kind -> how many there are.
-        damaged: episodes with a finding about their rows. What follows from it is not reported again.
+        counts: kind -> number of findings.
+        damaged: episodes with a finding about their rows; consequences of it are not reported again.
     """
 
     root: str = ""
@@ -129,7 +129,7 @@ class Report:
             self.findings.append(Finding(kind, message, file, episode, frame))
 
     def add_rows(self, kind: str, message: str, where: Rows, wrong: NDArray[np.bool_]) -> None:
-        """Adds one finding for each episode that has wrong rows, at the first of them."""
+        """Adds one finding for each episode with wrong rows, at its first wrong row."""
         episodes, frames = where.episodes[wrong], where.frames[wrong]
         for episode in np.unique(episodes).tolist():
             mine = frames[episodes == episode]
@@ -138,7 +138,7 @@ class Report:
 
     @property
     def clean(self) -> bool:
-        """Whether nothing was found."""
+        """Whether there are no findings."""
         return not self.counts
 
     def to_json(self) -> dict[str, Any]:
@@ -148,5 +148,5 @@ class Report:
 
 
 def first_line(error: BaseException) -> str:
-    """Returns the first line of an error's message, or its kind if it has none."""
+    """Returns the first line of an error's message; without a message, its type."""
     return str(error).partition("\n")[0][:200] or type(error).__name__

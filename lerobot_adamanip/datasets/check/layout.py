@@ -1,4 +1,4 @@
-"""Read and check a dataset's metadata: features, tasks, episodes and the files they are in."""
+"""Read and check a dataset's metadata: features, tasks, episodes and their files."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ INFO, STATS, TASKS, CAMERAS, ATTEMPTS = (
 )
 VERSION = "v3.0"
 _FRAME = 1e-3
-"""Times that differ by less are equal [s]: LeRobot keeps them as sums of durations."""
+"""Largest difference of equal times [s]; LeRobot stores them as sums of durations."""
 
 
 class VideoPart(NamedTuple):
-    """Place of an episode's frames: file within the dataset, and times within the file [s]."""
+    """Place of an episode's frames: path within the dataset, and times within the file [s]."""
 
     file: str
     start: float
@@ -31,7 +31,7 @@ class VideoPart(NamedTuple):
 
 
 class Episode(NamedTuple):
-    """Metadata of an episode: its index, rows, files, and which rows of the dataset are its (``end`` excluded)."""
+    """Metadata of an episode: index, length, files, and its range of dataset rows (``end`` excluded)."""
 
     number: int
     length: int
@@ -45,14 +45,14 @@ class Episode(NamedTuple):
 
 @dataclass(frozen=True)
 class Layout:
-    """A dataset as its metadata describe it.
+    """A dataset's metadata.
 
     Attributes:
         root: its folder.
         info: ``meta/info.json``.
         tasks: task_index -> text.
         episodes: in order.
-        table: rows of ``meta/episodes``, in the same order, with column ``listed_in``: the file of each.
+        table: rows of ``meta/episodes``, in the same order; column ``listed_in`` has the file of each.
     """
 
     root: Path
@@ -63,7 +63,7 @@ class Layout:
 
     @property
     def features(self) -> dict[str, dict[str, Any]]:
-        """Columns, as LeRobot describes them."""
+        """Columns, in LeRobot's description."""
         found: dict[str, dict[str, Any]] = self.info["features"]
         return found
 
@@ -73,22 +73,22 @@ class Layout:
         return int(self.info["fps"])
 
     def keys_of(self, *dtypes: str) -> list[str]:
-        """Returns the columns of some types."""
+        """Returns the columns of the given types."""
         return [key for key, feature in self.features.items() if feature["dtype"] in dtypes]
 
     @property
     def picture_keys(self) -> list[str]:
-        """Columns whose statistics are of colours."""
+        """Columns of images and videos, whose statistics are of colours."""
         return self.keys_of("video", "image")
 
     @property
     def data_keys(self) -> list[str]:
-        """Columns that are in the Parquet files."""
+        """Columns in the Parquet files."""
         return [key for key in self.features if key not in self.keys_of("video")]
 
     @property
     def rows(self) -> int:
-        """Rows of all episodes, as the metadata counts them."""
+        """Number of rows of all episodes, from the metadata."""
         return sum(episode.length for episode in self.episodes)
 
     @cached_property
@@ -113,7 +113,7 @@ class Layout:
 
 
 def read_layout(root: Path, report: Report) -> Layout | None:
-    """Reads the metadata; None, with findings, if without it nothing else can be read."""
+    """Reads the metadata; returns None, with findings, if the rest cannot be read without it."""
     try:
         info = read_info(root)
     except FileNotFoundError:
@@ -168,7 +168,7 @@ def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> Iterato
         try:
             yield _episode(row, videos)
         except (KeyError, TypeError, ValueError) as error:
-            report.add("metadata", f"it lacks or garbles {error}", row["listed_in"], row["episode_index"])
+            report.add("metadata", f"missing or invalid: {error}", row["listed_in"], row["episode_index"])
 
 
 def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
@@ -200,15 +200,15 @@ def _episode(row: dict[str, Any], videos: Iterable[str]) -> Episode:
 def _check_counts(layout: Layout, report: Report, tasks_known: bool) -> None:
     info, listed = layout.info, len(layout.table)
     if info["total_episodes"] != listed:
-        report.add("count", f"total_episodes = {info['total_episodes']}, but metadata of {listed} are there", INFO)
+        report.add("count", f"total_episodes = {info['total_episodes']}, but there is metadata of {listed}", INFO)
     elif info["total_frames"] != layout.rows and len(layout.episodes) == listed:
         report.add("count", f"total_frames = {info['total_frames']}, but the episodes have {layout.rows} rows", INFO)
     if tasks_known and info.get("total_tasks") != len(layout.tasks):
-        report.add("count", f"total_tasks = {info.get('total_tasks')}, but {len(layout.tasks)} are there", INFO)
+        report.add("count", f"total_tasks = {info.get('total_tasks')}, but there are {len(layout.tasks)}", INFO)
 
 
 def _check_order(layout: Layout, report: Report) -> None:
-    """Episodes count on, their rows follow each other, and each is as long as its rows are."""
+    """Checks that episodes and their rows are consecutive, and that lengths match the ranges of rows."""
     row = 0
     for expected, episode in enumerate(layout.episodes):
         place = episode.listed_in, episode.number
@@ -229,15 +229,15 @@ def _check_order(layout: Layout, report: Report) -> None:
 
 
 def leftovers(root: Path) -> Iterator[Path]:
-    """Yields temporary files and folders of a process that ended early."""
+    """Yields temporary files and folders of a killed process."""
     yield from sorted(root.rglob(".*.tmp"))
-    yield from sorted(path for path in root.glob("tmp*") if path.is_dir())  # LeRobot encodes videos in such
-    if any(path.is_file() for path in (root / "images").rglob("*")):  # empty, it is what LeRobot always leaves
+    yield from sorted(path for path in root.glob("tmp*") if path.is_dir())  # LeRobot encodes videos there
+    if any(path.is_file() for path in (root / "images").rglob("*")):  # LeRobot always leaves it, but empty
         yield root / "images"
 
 
 def unlisted_files(layout: Layout) -> Iterator[str]:
-    """Yields Parquet and video files without an episode."""
+    """Yields Parquet and video files that belong to no episode."""
     known = set(layout.by_data_file()) | {file for _, file in layout.by_video_file()}
     for pattern in ("data/*/*.parquet", "videos/*/*/*.mp4"):
         names = (path.relative_to(layout.root).as_posix() for path in sorted(layout.root.glob(pattern)))

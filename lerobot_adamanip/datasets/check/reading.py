@@ -1,4 +1,4 @@
-"""Read the rows of a data file, and check that each says where it belongs. One file is held at a time."""
+"""Read the rows of a data file and check their indices. Keeps one file in memory at a time."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ PLACE = ("index", "episode_index", "frame_index", "timestamp", "task_index")
 
 
 def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Report) -> tuple[Rows, pa.Table] | None:
-    """Reads a data file; None, with findings, where its rows cannot be assigned to its episodes."""
+    """Reads a data file; returns None, with findings, if its rows cannot be assigned to its episodes."""
     path, first = layout.root / name, episodes[0].number
     if not path.is_file():
-        report.add("missing", "rows of the episode, and of what follows in this file", name, first)
+        report.add("missing", "rows of this and the following episodes in this file", name, first)
         return None
     try:
         file = pq.ParquetFile(path)
@@ -43,7 +43,7 @@ def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Re
     places = {key: numeric_array(table[key]) if len(table) else None for key in PLACE}
     told = {key: values for key, values in places.items() if values is not None}
     if len(told) < len(PLACE):
-        report.add("shape", "a row does not say where it belongs", name, first)
+        report.add("shape", "a row lacks its episode or index", name, first)
         return None
     if len(where) != len(table):
         where = _counted(name, told["episode_index"])
@@ -53,7 +53,7 @@ def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Re
 
 
 def _counted(name: str, numbers: NDArray[Any]) -> Rows:
-    """Returns the places of rows of these episodes: each run of one episode counts from 0."""
+    """Returns the places of rows, given their episodes; each run of one episode counts from 0."""
     where = Rows(name, numbers.astype(np.int64), np.arange(len(numbers)))
     starts = where.starts()
     lengths = np.diff(np.r_[starts, len(numbers)])
@@ -61,7 +61,7 @@ def _counted(name: str, numbers: NDArray[Any]) -> Rows:
 
 
 def _report_unreadable(file: pq.ParquetFile, where: Rows, columns: Sequence[str], report: Report) -> None:
-    """Reports the episodes of each row group that cannot be read, and the columns."""
+    """Reports the episodes and columns of each row group that cannot be read."""
     start = 0
     for group in range(file.metadata.num_row_groups):
         end, broken = start + file.metadata.row_group(group).num_rows, []
@@ -80,7 +80,7 @@ def _check_lengths(where: Rows, episodes: Sequence[Episode], report: Report) -> 
     found = dict(zip(numbers.tolist(), counts.tolist(), strict=True))
     for episode in episodes:
         if (rows := found.pop(episode.number, 0)) != episode.length:
-            report.add("length", f"{rows} rows, where the metadata says {episode.length}", where.file, episode.number)
+            report.add("length", f"{rows} rows, but the metadata says {episode.length}", where.file, episode.number)
     if found:
         report.add("unlisted", f"{sum(found.values())} rows of episode {listed(list(found))}", where.file, min(found))
 
@@ -93,7 +93,7 @@ def _check_places(
     first = np.array([starts.get(number, 0) for number in where.episodes.tolist()])
     expected = {"episode_index": where.episodes, "frame_index": where.frames, "index": first + where.frames}
     for key, values in expected.items():
-        report.add_rows("index", f"{key} does not count on", where, known & (told[key] != values))
+        report.add_rows("index", f"{key} is not consecutive", where, known & (told[key] != values))
     off = np.abs(told["timestamp"].astype(np.float64) - where.frames / layout.fps) > 1e-4
     report.add_rows("timestamp", f"timestamp is not frame_index / {layout.fps}", where, known & off)
     for episode in episodes if layout.tasks else ():
@@ -101,4 +101,4 @@ def _check_places(
         for task in np.unique(told["task_index"][mine]).tolist():
             if layout.tasks.get(task) not in episode.tasks:
                 wrong = mine & (told["task_index"] == task)
-                report.add_rows("task", f"task_index {task} is none of the episode's tasks", where, wrong)
+                report.add_rows("task", f"task_index {task} is not a task of the episode", where, wrong)

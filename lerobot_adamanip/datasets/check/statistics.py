@@ -1,4 +1,4 @@
-"""Check statistics: of each episode against its rows, and of the dataset against its episodes."""
+"""Check the statistics of episodes against their rows, and of the dataset against its episodes."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from lerobot_adamanip.util.errors import listed
 from lerobot_adamanip.util.json_fields import read
 
 OF_PLACE = ("index", "episode_index", "task_index")
-"""Columns whose statistics are not used; LeRobot's merging leaves them as they were."""
+"""Columns whose statistics are unused; LeRobot's merging does not update them."""
 NEEDED = frozenset(("min", "max", "mean", "std", "count"))
 _BINS = 5000
-"""LeRobot reads quantiles off a histogram of so many bins."""
+"""Number of bins of the histogram from which LeRobot takes quantiles."""
 _ROUNDING, _ROUNDING_EACH = 1e-5, 2e-8
-"""Of float32 means, relative to the largest value; and more for each number that numpy sums up one after the other."""
+"""Rounding errors of float32 means, relative to the largest value: fixed part, and part per summed number."""
 Stored = dict[str, dict[str, NDArray[np.float64]]]
 """Column -> statistic -> (episodes, D)."""
 Statistics = dict[str, dict[str, NDArray[np.float64]]]
-"""Column -> statistic -> (D,), of pictures (3, 1, 1)."""
+"""Column -> statistic -> (D,); for images (3, 1, 1)."""
 
 
 def stored_statistics(table: pa.Table) -> Stored:
-    """Returns the statistics of every episode, by row of ``meta/episodes``; without irregular ones."""
+    """Returns the statistics of every episode, by row of ``meta/episodes``; skips irregular ones."""
     found: Stored = {}
     for name in table.column_names:
         values = numeric_array(table[name]) if name.startswith("stats/") and len(table) else None
@@ -46,9 +46,9 @@ def stored_statistics(table: pa.Table) -> Stored:
 def check_episode_statistics(
     where: Rows, columns: Mapping[str, NDArray[Any]], stored: Stored, row_of: Mapping[int, int], report: Report
 ) -> None:
-    """Compares episodes' statistics with their rows; skips episodes whose rows are known to be damaged.
+    """Compares episodes' statistics with their rows; skips episodes that are known to be damaged.
 
-    ``columns`` are (R, ...) values of whole episodes, and ``row_of`` tells where an episode is in ``stored``.
+    ``columns`` are (R, ...) values of whole episodes; ``row_of`` gives an episode's row in ``stored``.
     """
     for number, rows in where.runs():
         if number in report.damaged:
@@ -61,11 +61,11 @@ def check_episode_statistics(
             elif key not in OF_PLACE and not _are_of(told, values[rows]):
                 wrong.append(key)
         if wrong:
-            report.add("episode-statistics", f"not those of its rows: {listed(wrong)}", where.file, number)
+            report.add("episode-statistics", f"they differ from its rows: {listed(wrong)}", where.file, number)
 
 
 def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bool:
-    """Whether statistics (D,) are those of an episode's values (T, ...); NaN is a difference."""
+    """Returns whether statistics (D,) match an episode's values (T, ...); NaN is a difference."""
     numbers = values.astype(np.int8) if values.dtype == bool else values
     points = numbers.reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
     if any(each.shape != points.shape[1:] for name, each in told.items() if name != "count"):
@@ -76,7 +76,7 @@ def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bo
     near = np.abs(told["min"] - lowest) <= _ROUNDING * largest
     near &= np.abs(told["max"] - highest) <= _ROUNDING * largest
     near &= np.abs(told["mean"] - points.mean(axis=0, dtype=np.float64)) <= rounding * largest
-    # A difference of squares in float32 rounds by as much as the squares do.
+    # A difference of squares in float32 has the rounding error of the squares.
     near &= np.abs(told["std"] ** 2 - points.var(axis=0, dtype=np.float64)) <= rounding * largest**2
     near &= told["count"] == len(values)
     if len(values) > 1 and (names := [name for name in QUANTILES if name in told]):
@@ -89,9 +89,9 @@ def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bo
 
 
 def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
-    """Returns the statistics of the dataset: LeRobot's aggregation of its episodes'.
+    """Returns the statistics of the dataset, by LeRobot's aggregation of its episodes' statistics.
 
-    Those of the columns ``pictures`` are of shape (3, 1, 1), or (1, 1, 1) of depth.
+    Statistics of the columns ``pictures`` have shape (3, 1, 1), or (1, 1, 1) for depth.
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
@@ -108,7 +108,7 @@ def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
 
 
 def read_statistics(root: Path) -> Statistics:
-    """Returns ``meta/stats.json``, every statistic flat; raises OSError or ValueError."""
+    """Returns ``meta/stats.json`` with flattened statistics; raises OSError or ValueError."""
     content = read(root / STATS, max_bytes=MAX_STATISTICS_BYTES)
     try:
         return {
@@ -122,7 +122,7 @@ def read_statistics(root: Path) -> Statistics:
 def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     """Compares ``meta/stats.json`` with the statistics of the episodes.
 
-    Fixed ranges of rotation and gripper are no finding: see `pose_statistics.leave_poses_unscaled`.
+    Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`.
     """
     try:
         told = read_statistics(layout.root)
@@ -133,8 +133,8 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
         report.add("unreadable", str(error)[:200], STATS)
         return
     if not stored or len(layout.table) != layout.info["total_episodes"]:
-        return  # it is unknown which episodes they are of
-    # A lost column is a finding of its own.
+        return  # unknown which episodes the statistics cover
+    # A missing column has its own finding.
     true = aggregated({key: each for key, each in stored.items() if key in layout.features}, layout.picture_keys)
     fixed = unscaled_poses(true, layout.features)
     wrong = [f"none of {key}" for key in true if key not in told]
@@ -142,7 +142,7 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
         if names := [name for name in true[key] if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
             wrong.append(f"{key} ({listed(names)})")
     if wrong:
-        report.add("statistics", f"not those of the episodes: {listed(sorted(wrong))}", STATS)
+        report.add("statistics", f"they differ from the episodes: {listed(sorted(wrong))}", STATS)
 
 
 def _same(told: Mapping[str, NDArray[np.float64]], right: Mapping[str, NDArray[np.float64]], name: str) -> bool:

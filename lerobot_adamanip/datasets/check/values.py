@@ -1,4 +1,4 @@
-"""Check values of rows: finite, of the right shape, rotations orthonormal, clouds in the workspace, known labels."""
+"""Check values of rows: finite, right shape, orthonormal rotations, clouds in the workspace, known labels."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from lerobot_adamanip.util.arrow import numeric_array
 Columns = dict[str, NDArray[Any]]
 """Column -> (R, ...) values."""
 ORTHONORMAL = 1e-3
-"""Largest deviation of a rotation's row from length 1, and of two from being orthogonal."""
+"""Largest deviation of rotation rows from length 1, and of their product from 0."""
 MARGIN = 1e-4
-"""Allowed for rounding: of a point outside the workspace [m], and of an opening outside [0, 1]."""
+"""Rounding allowance for points outside the workspace [m] and openings outside [0, 1]."""
 LABELS: Mapping[str, tuple[int, int]] = {
     schema.PHASE: (UNLABELLED, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
     schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNLABELLED, 10_000),
 }  # fmt: skip
-"""Column -> least and largest code."""
+"""Column -> smallest and largest code."""
 
 
 def check_values(
     where: Rows, table: pa.Table, features: Mapping[str, Mapping[str, Any]], workspace: Workspace, report: Report
 ) -> Columns:
-    """Checks rows; returns the columns in which every cell has the column's shape."""
+    """Checks rows; returns the columns whose cells all have the right shape."""
     columns: Columns = {}
     for key, feature in features.items():
         if feature["dtype"] in ("video", "image", "string", "language"):
@@ -58,13 +58,13 @@ def _report_shape(where: Rows, table: pa.Table, key: str, shape: tuple[int, ...]
     chunks = [chunk.storage if isinstance(chunk, pa.ExtensionArray) else chunk for chunk in table[key].chunks]
     shapes = [_shape(cell) for chunk in chunks for cell in chunk.to_pylist()]
     wrong = np.array([each != shape for each in shapes])
-    wrong[0] |= not wrong.any()  # a kind of cell that has no shape
+    wrong[0] |= not wrong.any()  # cells without a shape
     told = sorted({str(each) for each, bad in zip(shapes, wrong.tolist(), strict=True) if bad})
     report.add_rows("shape", f"{key} has cells of shape {', '.join(told[:3])}, not {shape}", where, wrong)
 
 
 def _shape(cell: Any) -> tuple[int, ...] | None:
-    """Returns the shape of nested lists; None for an empty cell, or lists of different lengths."""
+    """Returns the shape of nested lists; None for an empty cell, or for lists of unequal lengths."""
     try:
         return None if cell is None else np.shape(cell)
     except ValueError:

@@ -1,4 +1,4 @@
-"""Check videos: decode every frame; compare number and times with the rows, and colours with the statistics."""
+"""Check videos: decode all frames, compare number and times with the rows, and colours with the statistics."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ from lerobot_adamanip.datasets.check.layout import Episode, Layout
 from lerobot_adamanip.datasets.check.statistics import Stored
 
 CONTENT = 0.08
-"""Largest difference of an episode's mean colour from the recorded one, of 1: coding is lossy."""
+"""Largest difference of an episode's mean colour [0 ... 1] from its statistics, because coding is lossy."""
 
 Frame = tuple[float, NDArray[np.float64], tuple[int, int]]
 """Time [s], mean colour (3,) of 0 to 1, height and width [px]."""
 
 
 def check_videos(layout: Layout, stored: Stored, report: Report, progress: Callable[[], None]) -> None:
-    """Checks every video that an episode is in; calls ``progress`` after each frame."""
+    """Checks all videos of the episodes; calls ``progress`` after each frame."""
     for (key, file), listed in layout.by_video_file().items():
         if not (layout.root / file).is_file():
-            report.add("missing", f"{key} of the episode, and of what follows in this file", file, listed[0].number)
+            report.add("missing", f"{key} of this and the following episodes in this file", file, listed[0].number)
             continue
         frames, broken = _decode(layout.root / file, progress)
         size = tuple(layout.features[key]["shape"][:2])
@@ -47,13 +47,13 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
             if broken:
                 report.add("unreadable", broken, file)
             elif len(frames) > end:
-                report.add("unlisted", f"{len(frames) - end} frames of {key} after those of the last episode", file)
+                report.add("unlisted", f"{len(frames) - end} frames of {key} after the last episode", file)
 
 
 def _check_frames(
     layout: Layout, key: str, episode: Episode, frames: Sequence[Frame], stored: Stored
 ) -> Iterator[tuple[str, str, int | None]]:
-    """Yields findings (kind, message, frame) about the times of an episode's frames, and the colour of a whole one."""
+    """Yields findings (kind, message, frame) about an episode's frame times and mean colour."""
     begin = round(episode.videos[key].start * layout.fps)
     for number, (time, *_) in enumerate(frames):
         due = (begin + number) / layout.fps
@@ -71,7 +71,7 @@ def _check_frames(
 
 
 def _decode(path: Path, progress: Callable[[], None]) -> tuple[list[Frame], str]:
-    """Returns the frames of a video, and why decoding failed after them; nothing if it did not."""
+    """Returns the frames of a video, and the reason if decoding stopped after them, else an empty text."""
     import av
 
     av.logging.set_libav_level(av.logging.FATAL)

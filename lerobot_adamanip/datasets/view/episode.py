@@ -32,24 +32,24 @@ class Try(NamedTuple):
     joint: str
     failed: bool
     progress: float
-    """How far the joint moved, in the direction it was sent [rad or m]."""
+    """Motion of the joint in the commanded direction [rad or m]."""
     recovers: bool
-    """Whether it worked after a failed try."""
+    """Whether it succeeded after a failed try."""
 
 
 @dataclass(frozen=True)
 class ViewedEpisode:
-    """An episode of T rows; a row is observed before the key frame of its number.
+    """An episode of T rows; each row is the observation before its key frame.
 
     Attributes:
         title: one line: object, hidden state, result.
         clouds: (T, N, 3) points, robot base frame [m].
         tools: (T, 10) poses of the tool, as in the contract's action.
-        goals: (T - 1, 10) poses it was sent to.
-        effort: (T, 7) external joint torque [N m]; empty if it was not recorded.
-        phases: of each key frame; None where unlabelled.
-        outcomes: of each key frame; None where it was not recorded.
-        tries: in their order.
+        goals: (T - 1, 10) commanded poses.
+        effort: (T, 7) external joint torques [N m]; empty if not recorded.
+        phases: of each key frame; None if unlabelled.
+        outcomes: of each key frame; None if not recorded.
+        tries: in order.
         seconds: (T,) time of each row [s].
         images: (T, H, W, 3) RGB; None if there are none.
     """
@@ -67,12 +67,12 @@ class ViewedEpisode:
 
     @property
     def key_frames(self) -> int:
-        """How many actions were sent."""
+        """Number of actions that were sent."""
         return len(self.goals)
 
 
 def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpisode:
-    """Reads an episode of any dataset that has a cloud, a state and actions as the contract has them.
+    """Reads an episode of any dataset with a cloud, a state and actions in the contract's form.
 
     Raises:
         DatasetError: the dataset is missing, half written or damaged.
@@ -107,7 +107,7 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
 def _labels[Label: enum.IntEnum](
     kind: type[Label], column: NDArray[Any] | None, count: int
 ) -> tuple[Label | None, ...]:
-    """Returns the labels of the first rows; None where the column or the label is missing."""
+    """Returns the labels of the first rows; None if the column or the label is missing."""
     known = {int(label): label for label in kind}
     codes = [-1] * count if column is None else column[:count].astype(int).tolist()
     return tuple(known.get(code) for code in codes)
@@ -127,7 +127,7 @@ def _tries(columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...
 
 
 def _joint_names(identifier: object) -> tuple[str, ...]:
-    """Returns names of the joints of a generated object, the one that opens first; nothing for other objects."""
+    """Returns joint names of a generated object, the opening joint first; empty for other objects."""
     if not isinstance(identifier, str) or is_asset_id(identifier):
         return ()
     try:

@@ -1,4 +1,4 @@
-"""A picture of an episode: the scene with the tool's path, goals and tries, and below it phases and effort."""
+"""Picture of an episode: the scene with the tool's path, goals and tries; below it phases and effort."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SIZE, DPI = (11.0, 7.8), 100
-"""Of the picture [inch], and of an inch [px]."""
+"""Size of the picture [inch] and resolution [px per inch]."""
 MARGIN = 0.15
-"""Shown around the tool's path [m]."""
+"""Margin around the tool's path [m]."""
 FAILED, WORKED, PATH, STALLED = "#c62828", "#2e7d32", "#1f4e9c", "#e07b00"
 _PHASES = {
     Phase.APPROACH: "#d7dde5", Phase.GRASP: "#aebccd", Phase.TRY: "#f2c14e", Phase.RELEASE: "#e3e3e3",
@@ -48,7 +48,7 @@ def draw(episode: ViewedEpisode) -> Figure:
 
 
 def _draw_scene(axes: Any, episode: ViewedEpisode) -> None:
-    """Draws the first cloud, seen over the robot's shoulder. A try stands where the tool was when it was over."""
+    """Draws the first cloud, seen over the robot's shoulder. A try is drawn where the tool was at its end."""
     path, goals = episode.tools[:, :3], episode.goals[:, :3]
     around = np.concatenate([path, goals])
     low, high = around.min(axis=0) - MARGIN, around.max(axis=0) + MARGIN
@@ -74,7 +74,7 @@ def _draw_scene(axes: Any, episode: ViewedEpisode) -> None:
 
 
 def _draw_timeline(axes: Axes, episode: ViewedEpisode) -> None:
-    """Draws by key frame: phases, motions that did not reach their goal, tries, and external joint torques."""
+    """Draws phases, motions that missed their goal, tries and external joint torques, by key frame."""
     from matplotlib.ticker import MaxNLocator
 
     for joint, torque in enumerate(episode.effort.T):

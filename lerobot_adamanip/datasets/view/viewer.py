@@ -1,4 +1,4 @@
-"""Show an episode in rerun, which comes with ``lerobot[viz]`` and is imported when it is needed."""
+"""Show an episode in rerun, which comes with ``lerobot[viz]`` and is imported only when needed."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _AXES = np.array([(220, 60, 60), (60, 160, 60), (70, 90, 220)], np.uint8)
 
 
 def save(episode: ViewedEpisode, path: Path) -> None:
-    """Writes a recording, which `rerun FILE.rrd` shows; half of one is never at ``path``. Needs no display."""
+    """Writes a recording for `rerun FILE.rrd`, atomically. Needs no display."""
     recording = _rerun().RecordingStream(APPLICATION)
     path.parent.mkdir(parents=True, exist_ok=True)
     half = path.with_name(f".{path.name}.writing")
@@ -65,7 +65,7 @@ def log_episode(recording: Any, episode: ViewedEpisode) -> None:
 
 
 def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
-    """Logs where the tool is sent, the outcome, and the try, if there is one."""
+    """Logs the goal, the outcome, and the try if there is one."""
     rr = _rerun()
     goal, phase, outcome = episode.goals[number], episode.phases[number], episode.outcomes[number]
     _log_pose(recording, "world/goal/pose", goal)
@@ -80,7 +80,7 @@ def _log_key_frame(recording: Any, episode: ViewedEpisode, number: int) -> None:
             recording.log("log", rr.TextLog(text, level="ERROR" if each.failed else "INFO"))
             where = episode.tools[min(number + 1, len(episode.tools) - 1), :3]
             look = {"colors": [_FAILED if each.failed else _WORKED], "labels": [f"{number} {each.joint} {told}"]}
-            recording.log(f"world/tries/{number}", rr.Points3D([where], radii=0.01, **look))  # of its own: it stays
+            recording.log(f"world/tries/{number}", rr.Points3D([where], radii=0.01, **look))  # own name: stays visible
 
 
 def _log_pose(recording: Any, name: str, pose: NDArray[Any]) -> None:
@@ -91,7 +91,7 @@ def _log_pose(recording: Any, name: str, pose: NDArray[Any]) -> None:
 
 
 def _by_height(cloud: NDArray[Any]) -> NDArray[np.uint8]:
-    """Returns (N, 3) colours: dark and blue below, yellow above."""
+    """Returns colours (N, 3) by height: dark blue below, yellow above."""
     from matplotlib import colormaps
 
     low, high = cloud[:, 2].min(), cloud[:, 2].max()
@@ -118,6 +118,6 @@ def _rerun() -> Any:
             "rerun is not installed.",
             got=f"no module {error.name}",
             allowed="rerun-sdk",
-            hint="pip install 'lerobot[viz]'; or --out episode.png, which needs none",
+            hint="pip install 'lerobot[viz]'; or --out episode.png, which does not need it",
         ) from error
     return rerun
