@@ -1,15 +1,15 @@
-"""Compares ray-cast clouds with rendered ones, pixel by pixel, before, while and after the expert works on an object.
+"""Compares ray-cast clouds with rendered clouds pixel by pixel, before, during and after an expert's episode.
 
-For each category and seed the depth camera of the renderer and the rays look at the same scene: at reset, and after
-every ``--every``-th key frame of the adaptive expert. Counted are the pixels that either sees in the workspace, and
-those that differ by more than 1 and 2 mm along any axis of the camera.
+For each category and seed, the depth camera and the rays observe the same scene: at reset, and after every
+``--every``-th key frame of the adaptive expert. The script counts the pixels that either one sees in the workspace, and
+those that differ by more than 1 and 2 mm along any camera axis.
 
-A ray is exact; a renderer moves the corners of triangles to the next 256th of a pixel. At an edge a pixel may then show
-what lies on its other side, and on a surface seen at a grazing angle millimetres more or less. So of the pixels that
-differ by more than 2 mm those are counted apart that agree with a ray an eighth of a pixel beside, or nearer.
+A ray is exact; a renderer rounds triangle corners to 1/256 pixel. At an edge, a pixel may then show the other side. On
+a surface at a grazing angle, its depth may differ by millimetres. So pixels that differ by more than 2 mm, but agree
+with a ray up to 1/8 pixel away, are counted separately as explained.
 
-Returns 1 if more than 0.1 % of the pixels differ by more than 1 mm, or one by more than 2 mm that no ray beside agrees
-with. For example: ``python scripts/check_clouds.py --category all --seeds 20 --json``. Needs a Vulkan device.
+Returns 1 if more than 0.1 % of the pixels differ by more than 1 mm, or if one unexplained pixel differs by more than
+2 mm. For example: ``python scripts/check_clouds.py --category all --seeds 20 --json``. Needs a Vulkan device.
 """
 
 from __future__ import annotations
@@ -30,22 +30,22 @@ from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import UnreachableError
 
 MOST_OFF = 0.001
-"""Share of pixels that may differ by more than 1 mm."""
+"""Maximum share of pixels that differ by more than 1 mm."""
 BESIDE = (1 / 256, 1 / 64, 1 / 16, 1 / 8)
-"""How far beside a pixel's middle other rays go [px]."""
+"""Distances of further rays from a pixel's centre [px]."""
 MOST_KEY_FRAMES = 30
 
 
 @dataclass(frozen=True)
 class Counts:
-    """Pixels that rays or renderer see in the workspace, and how many differ.
+    """Pixel counts of a comparison.
 
     Attributes:
-        views: compared.
-        pixels: seen.
-        off_1mm: that differ by more than 1 mm.
-        off_2mm: by more than 2 mm.
-        explained: of the latter, those that a ray beside agrees with.
+        views: number of compared views.
+        pixels: number of pixels that rays or renderer see in the workspace.
+        off_1mm: number of pixels that differ by more than 1 mm.
+        off_2mm: number of pixels that differ by more than 2 mm.
+        explained: number of those that agree with a neighbouring ray.
     """
 
     views: int = 0
@@ -59,12 +59,12 @@ class Counts:
 
     @property
     def passed(self) -> bool:
-        """Whether the two are the same cloud."""
+        """Returns whether both clouds are equal."""
         return self.off_1mm <= MOST_OFF * self.pixels and self.off_2mm == self.explained
 
 
 def compare(task: Any) -> Counts:
-    """Compares what both see of a task, made with ``cloud_source="render"``, at this moment."""
+    """Compares both views of a task, created with ``cloud_source="render"``, at its current state."""
     from lerobot_env_adamanip.sim.camera import pinhole, points_in_world
 
     camera = pinhole(task.views.camera(task.views.depth_size, "front"))
@@ -81,26 +81,26 @@ def compare(task: Any) -> Counts:
     explained = np.zeros(len(far), np.bool_)
     for right, down in _beside() if len(far) else ():
         other = _cast(task, right, down)
-        # The floor is not cast: where nothing is met, the renderer has to see something outside the workspace.
+        # The floor is not cast. A ray without a hit is correct if the renderer sees a point outside the workspace.
         nothing = ~inside(rendered)[far] & ~inside(other)[far]
         explained |= nothing | (np.abs(rendered[far] - other[far]).max(axis=1) <= 2)
     return Counts(1, int(seen.sum()), int((seen & (off > 1)).sum()), len(far), int(explained.sum()))
 
 
 def _beside() -> Iterator[tuple[float, float]]:
-    """Ways right and down from a pixel's middle [px], the shortest first."""
+    """Yields offsets right and down from a pixel's centre [px], the shortest first."""
     for far in BESIDE:
         yield from ((far * x, far * y) for x in (-1, 0, 1) for y in (-1, 0, 1) if x or y)
 
 
 def _rendered(task: Any) -> NDArray[np.float32]:
-    """The renderer's points (H * W, 3), camera frame [mm]; 0 where there are none."""
+    """Returns the renderer's points (H * W, 3), camera frame [mm]; 0 for pixels without a point."""
     task.views.points()
     return np.asarray(task.views.depth_scene.texture("position").reshape(-1, 3), np.float32)
 
 
 def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
-    """The same of rays, each so much of a pixel beside the middle of its own."""
+    """Returns the rays' points, with each ray shifted by an offset [px]; otherwise like `_rendered`."""
     from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
 
     views = task.views
@@ -112,7 +112,7 @@ def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
 
 
 def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
-    """Compares at reset, and after every so many key frames of the adaptive expert."""
+    """Compares at reset and after each ``every`` key frames of the adaptive expert."""
     task.reset(seed=seed, options={"reconfigure": True})
     yield compare(task)
     rng = np.random.default_rng(seed)
@@ -129,7 +129,7 @@ def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
 
 
 def check(category: str, seeds: list[int], every: int) -> list[Counts]:
-    """Compares a category on seeds; scenes that cannot be placed count nothing."""
+    """Compares a category on seeds. Skips scenes that cannot be placed."""
     from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
@@ -146,9 +146,9 @@ def check(category: str, seeds: list[int], every: int) -> list[Counts]:
 
 
 def main() -> int:
-    """Parses, runs, prints. Returns 0 if both see the same."""
+    """Parses, runs, prints. Returns 0 if both agree."""
     made = parser(__doc__, seeds=20, first_seed=300)
-    made.add_argument("--every", type=count, default=4, help="key frames from one view to the next (%(default)s)")
+    made.add_argument("--every", type=count, default=4, help="key frames between two views (%(default)s)")
     options = made.parse_args()
     totals = {name: sum(found, Counts()) for name, found in run_seeds(check, options, options.every).items()}
     rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in totals.items()}

@@ -1,4 +1,4 @@
-"""Parts that the checks of this folder share: header of a report, options, processes, progress."""
+"""Shared code of the check scripts: report header, options, processes, progress."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
 INTERVAL_S = 15.0
-"""Between lines of progress."""
+"""Time between two progress lines [s]."""
 BATCH = 20
-"""Scenes that share one start of the simulator."""
+"""Number of scenes per simulator start."""
 
 
 def header() -> dict[str, Any]:
-    """Returns the header of a report: command, commit where there is one, fingerprint and versions."""
+    """Returns the header of a report: command, commit if any, fingerprint and versions."""
     asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {
         "command": shlex.join(["python", *sys.argv]),
@@ -38,11 +38,11 @@ def header() -> dict[str, Any]:
 
 
 def document_command(description: str | None, wanted: Callable[[], Mapping[Path, str]]) -> int:
-    """Writes documents that are made of results, or with ``--check`` says which is not what it would be; exit status.
+    """Writes generated documents, or with ``--check`` lists the outdated ones. Returns the exit status.
 
     Args:
-        description: of the command line.
-        wanted: makes document -> text.
+        description: description of the command line.
+        wanted: returns document -> text.
     """
     parser = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 if a document would change")
@@ -61,7 +61,7 @@ def document_command(description: str | None, wanted: Callable[[], Mapping[Path,
 
 
 def count(text: str) -> int:
-    """Parses a whole number from 1 up."""
+    """Parses a whole number >= 1."""
     value = int(text)
     if value < 1:
         raise argparse.ArgumentTypeError(f"{text} is not 1 or more")
@@ -69,7 +69,7 @@ def count(text: str) -> int:
 
 
 def list_of(allowed: tuple[str, ...] | None) -> Callable[[str], tuple[str, ...]]:
-    """Returns a parser of names out of ``allowed``, any if None, separated by commas."""
+    """Returns a parser of comma-separated names from ``allowed``; None allows all."""
 
     def parse(text: str) -> tuple[str, ...]:
         chosen = tuple(dict.fromkeys(each.strip() for each in text.split(",")))
@@ -84,8 +84,8 @@ def parser(description: str | None, *, seeds: int, first_seed: int) -> argparse.
     """Returns a command line with options for categories, seeds, processes and JSON."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="category, or all (%(default)s)")
-    made.add_argument("--seeds", type=count, default=seeds, help="scenes of each category (%(default)s)")
-    made.add_argument("--first-seed", type=count, default=first_seed, help="first of the scenes (%(default)s)")
+    made.add_argument("--seeds", type=count, default=seeds, help="scenes per category (%(default)s)")
+    made.add_argument("--first-seed", type=count, default=first_seed, help="seed of the first scene (%(default)s)")
     made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
     made.add_argument("--json", action="store_true", help="print JSON instead of text")
     return made
@@ -99,7 +99,7 @@ def categories_of(options: argparse.Namespace) -> tuple[str, ...]:
 def run_seeds[Result](
     check: Callable[..., list[Result]], options: argparse.Namespace, *more: Any
 ) -> dict[str, list[Result]]:
-    """Runs ``check(category, seeds, *more)`` for the options of `parser`; returns category -> results."""
+    """Runs ``check(category, seeds, *more)`` for the options of `parser`. Returns category -> results."""
     names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
     batches = [(name, part, *more) for name in names for part in in_batches(seeds)]
     found: dict[str, list[Result]] = {name: [] for name in names}
@@ -109,14 +109,14 @@ def run_seeds[Result](
 
 
 def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:
-    """Returns items in parts that share one start of the simulator."""
+    """Returns the items in batches, one per simulator start."""
     return [list(items[start : start + BATCH]) for start in range(0, len(items), BATCH)]
 
 
 def run_parallel[Result](
     work: Callable[..., list[Result]], batches: Iterable[tuple[Any, ...]], workers: int, progress: Progress
 ) -> Iterator[tuple[tuple[Any, ...], list[Result]]]:
-    """Yields each batch and ``work(*batch)``, computed in processes of one thread each."""
+    """Yields each batch and the result of ``work(*batch)`` from single-threaded processes."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
@@ -130,13 +130,13 @@ def run_parallel[Result](
 
 
 class Progress:
-    """Writes a line now and then to standard error: finished episodes of ``total``."""
+    """Writes progress lines to standard error: finished episodes of ``total``."""
 
     def __init__(self, total: int) -> None:
         self.done, self.total, self.start, self._written_s = 0, total, time.monotonic(), -INTERVAL_S
 
     def advance(self, finished: int) -> None:
-        """Counts so many more episodes."""
+        """Adds finished episodes."""
         self.done += finished
         elapsed = time.monotonic() - self.start
         if elapsed - self._written_s >= INTERVAL_S or self.done == self.total:

@@ -1,8 +1,8 @@
-"""Runs the scripted experts without rendering, and reports how often they succeed, on scenes of any first seed.
+"""Runs the scripted experts without rendering and reports their success rates.
 
-A cell is a preset, a category, a split of objects and an expert. Each has ``--episodes`` episodes; both experts meet
-the same ones. All attempts count: a scene in which an object could not be placed is a failure too. Success is the
-task's own; the expert goes on past it to its own end. For example:
+A cell is a preset, a category, an object split and an expert. Each cell has ``--episodes`` episodes, and both experts
+get the same ones. All attempts count: a scene without a placed object is also a failure. Success is the task's
+success; the expert continues to its own end. For example:
 
     python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --workers 2
 """
@@ -33,13 +33,13 @@ from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, UnreachableError
 
 FIRST_SEED = 5_000_000
-"""Away from the seeds of demonstrations and evaluations; experts were tuned on these."""
+"""Default first seed, outside the seeds of demonstrations and evaluations. Experts were tuned on these scenes."""
 SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
 
 
 @dataclass(frozen=True)
 class Episode:
-    """One to run, and afterwards how it went; ``key_frames`` until success, ``placed`` whether the scene could be."""
+    """An episode and, after its run, its result. ``key_frames``: until success; ``placed``: whether a scene exists."""
 
     preset: str
     category: str
@@ -55,21 +55,21 @@ class Episode:
 
 
 class BlindEnvironment:
-    """What `rollout` needs of a `KeyframeEnvironment`, on a task that is never looked at: no rendering, no clouds."""
+    """Minimal `KeyframeEnvironment` for `rollout`, without rendering and clouds."""
 
     def __init__(self, task: Any, max_key_frames: int) -> None:
         self._task, self.max_key_frames = task, max_key_frames
         self.opened_after = 0
-        """Key frames until success; 0 without."""
+        """Number of key frames until success; 0 without success."""
         self._count = 0
 
     @property
     def feedback(self) -> Any:
-        """What was felt after the latest key frame."""
+        """Feedback of the latest key frame."""
         return self._task.feedback
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
-        """Drives the arm to one key frame; the episode goes on past success."""
+        """Drives the arm to one key frame. The episode continues after success."""
         self._task.execute(action)
         self._count += 1
         if not self.opened_after and self._task.succeeded():
@@ -78,7 +78,7 @@ class BlindEnvironment:
 
 
 def run_batch(episodes: list[Episode]) -> list[Episode]:
-    """Runs episodes of one preset and category one after the other in one simulator."""
+    """Runs episodes of one preset and category sequentially in one simulator."""
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.simulator import make_task
 
@@ -120,12 +120,12 @@ Run = Callable[[list[Episode], int], list[Episode]]
 
 
 def plan(options: argparse.Namespace) -> list[Episode]:
-    """Returns every episode asked for; raises `ConfigurationError` if ``--objects`` are of other categories."""
+    """Returns all requested episodes. Raises `ConfigurationError` if ``--objects`` belong to other categories."""
     names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
     found = []
     for preset, (split, category, object_ids) in itertools.product(options.preset, _selected(names, options)):
         for number in range(options.episodes):
-            # Spread over the objects; small categories repeat theirs, with other seeds.
+            # Spread over the objects. Small categories repeat objects with other seeds.
             chosen = object_ids[number * len(object_ids) // options.episodes % len(object_ids)]
             seed = options.first_seed + 10_000 * (SPLITS.index(split) if split in SPLITS else len(SPLITS)) + number
             found += [Episode(preset, category, kind, split, chosen, seed) for kind in options.experts]
@@ -133,7 +133,7 @@ def plan(options: argparse.Namespace) -> list[Episode]:
 
 
 def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Split, category and object ids of each cell; ids given one by one are the category's that they name."""
+    """Yields split, category and object ids of each cell. Single ids belong to the category in their name."""
     if not options.objects:
         for category in names:
             for split in options.splits:
@@ -156,7 +156,7 @@ def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tup
 
 
 def grouped(episodes: list[Episode], *names: str) -> dict[tuple[str, ...], list[Episode]]:
-    """Returns episodes by the values of fields."""
+    """Groups episodes by the values of fields."""
     groups: dict[tuple[str, ...], list[Episode]] = {}
     for episode in episodes:
         groups.setdefault(tuple(getattr(episode, name) for name in names), []).append(episode)
@@ -164,7 +164,7 @@ def grouped(episodes: list[Episode], *names: str) -> dict[tuple[str, ...], list[
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
-    """A row for each cell, and one of all splits and presets for each category and expert (``all``)."""
+    """Returns a row per cell, and a row ``all`` per category and expert over all splits and presets."""
     cells = grouped(episodes, "category", "kind", "preset", "split")
     cells |= {(*key, "all", "all"): chosen for key, chosen in grouped(episodes, "category", "kind").items()}
     return [
@@ -187,7 +187,7 @@ def _counts(episodes: list[Episode]) -> dict[str, Any]:
 
 
 def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str]:
-    """Returns what is below a threshold, in words: each category and expert, and the mean over categories."""
+    """Returns texts for all values below a threshold: category and expert, and the mean over categories."""
     shares = {(row["category"], row["expert"]): row["kept"] / row["attempted"] for row in rows if row["split"] == "all"}
     low = [f"{category} {kind}: {share:.3f}" for (category, kind), share in shares.items() if share < threshold]
     for wanted in dict.fromkeys(kind for _, kind in shares):
@@ -198,7 +198,7 @@ def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str
 
 
 def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
-    """Returns both as text."""
+    """Returns rows and failures as text."""
     lines = [f"{'category':16} {'expert':9} {'preset':9} {'split':7} {'kept':>9}  95 % interval   key frames"]
     for row in rows:
         low, high = row["wilson_95"]
@@ -211,7 +211,7 @@ def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
 
 
 def result_rows(episodes: list[Episode]) -> list[ResultRow]:
-    """Returns a row of a result file for each cell."""
+    """Returns a result-file row per cell."""
     rows = []
     for (kind, preset, category, split), chosen in grouped(episodes, "kind", "preset", "category", "split").items():
         hidden: dict[str, list[bool]] = {}
@@ -233,22 +233,22 @@ def command_line() -> argparse.ArgumentParser:
     """Returns the command line."""
     made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="category, or all (%(default)s)")
-    made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="separated by commas")
+    made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="splits separated by commas")
     made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
-    made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="separated by commas")
-    made.add_argument("--preset", type=list_of(tuple(MECHANISM_RULES)), default=("paper",), help="of the mechanism")
-    made.add_argument("--episodes", type=count, default=20, help="of each cell (%(default)s)")
-    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="of the episodes (%(default)s)")
+    made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="experts separated by commas")
+    made.add_argument("--preset", type=list_of(tuple(MECHANISM_RULES)), default=("paper",), help="mechanism rules")
+    made.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
+    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
     made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
-    made.add_argument("--threshold", type=float, default=0.97, help="least share of a category and expert")
-    made.add_argument("--mean", type=float, default=0.99, help="least mean share of an expert over the categories")
+    made.add_argument("--threshold", type=float, default=0.97, help="minimum success rate per category and expert")
+    made.add_argument("--mean", type=float, default=0.99, help="minimum mean success rate over the categories")
     made.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
     made.add_argument("--json", action="store_true", help="print JSON instead of the table")
     return made
 
 
 def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
-    """Runs episodes in processes; those of one preset and category share a simulator."""
+    """Runs episodes in processes. Episodes of one preset and category share a simulator."""
     groups = grouped(episodes, "preset", "category").values()
     batches = [(part,) for group in groups for part in in_batches(group)]
     found = run_parallel(run_batch, batches, workers, Progress(len(episodes)))
@@ -256,7 +256,7 @@ def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
 
 
 def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
-    """Parses, runs, prints. Returns 0 if every share reaches its threshold, 1 if not; 2 for what cannot be run."""
+    """Parses, runs, prints. Returns 0 if all success rates reach the thresholds, 1 if not, 2 for invalid options."""
     options, said, begin = command_line().parse_args(arguments), header(), time.monotonic()
     try:
         if options.result is not None:

@@ -1,11 +1,11 @@
-"""Checks that nothing hidden shows before it is tried.
+"""Checks that the hidden state is not observable before a try.
 
-For each category the adaptive expert takes hold of an object, on equal seeds under two hidden states (three for a
-lamp). State, effort and every joint of arm and object must be equal bit for bit in every frame up to and including the
-one in which the part is held, and so must the cloud and the image of that frame.
+For each category, the adaptive expert grasps an object on equal seeds under two hidden states (three for a lamp).
+State, effort and all joints of arm and object must be bit-identical in every frame until the part is held. The cloud
+and the image of the last frame must be bit-identical, too.
 
-For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2``. ``--no-hold`` switches off
-what hides the state, and the check has to fail. Returns 1 if a category does.
+For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2``. ``--no-hold`` makes the
+hidden state observable, so the check must fail. Returns 1 if a category fails.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "microwave": ({"locked": True}, {"locked": False}),
     "lamp": ({"mode": 0}, {"mode": 1}, {"mode": 2}),
 }
-"""Hidden states that are as far apart as they can be."""
+"""Hidden states that differ as much as possible, by category."""
 Frame = dict[str, NDArray[Any]]
 
 
 def frames_until_held(
     task: Any, seed: int, hidden: dict[str, Any], *, look: bool = True, image: bool = True
 ) -> list[Frame]:
-    """Lets the adaptive expert take hold of the first part; all there is at reset and after each key frame.
+    """Lets the adaptive expert grasp the first part. Returns all data at reset and after each key frame.
 
-    ``cloud`` (M, 3) [m, base frame] and, if one is wanted, ``image`` (H, W, 3) are in the last frame only, and only if
-    somebody is to ``look``.
+    Only the last frame has ``cloud`` (M, 3) [m, base frame] and, if requested, ``image`` (H, W, 3), and only if
+    ``look`` is set.
     """
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
@@ -76,7 +76,7 @@ def _frame(task: Any) -> Frame:
 
 
 def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
-    """Returns what is not equal bit for bit, in words."""
+    """Returns texts for all data that is not bit-identical."""
     found = [] if len(first) == len(second) else [f"{len(first)} frames, {len(second)} frames"]
     for number, (one, other) in enumerate(zip(first, second, strict=False)):
         for name, value in one.items():
@@ -89,7 +89,7 @@ def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
 
 
 def check(category: str, seeds: list[int], hold: bool) -> list[tuple[int, tuple[str, ...]]]:
-    """Returns each seed with its differences; seeds on which an object cannot be placed are left out."""
+    """Returns each seed with its differences. Skips seeds without a placed object."""
     from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
@@ -108,9 +108,9 @@ def check(category: str, seeds: list[int], hold: bool) -> list[tuple[int, tuple[
 
 
 def main() -> int:
-    """Parses, runs, prints. Returns 0 if nothing shows."""
+    """Parses, runs, prints. Returns 0 if no hidden state is observable."""
     made = parser(__doc__, seeds=100, first_seed=FIRST_SEED)
-    made.add_argument("--no-hold", action="store_true", help="joints move from reset on; the check has to fail")
+    made.add_argument("--no-hold", action="store_true", help="let joints move from reset on; the check must fail")
     options = made.parse_args()
     reports, lines = [], []
     for name, results in run_seeds(check, options, not options.no_hold).items():

@@ -1,8 +1,8 @@
-"""Sends nonsense to every environment, and reports what crashed, what exploded, and what was not refused.
+"""Sends invalid actions to every environment. Reports crashes, unstable simulations and accepted malformed actions.
 
-For every seed: random key frames about the workspace, with the hand open and closed; then wild ones (huge, zero, out of
-reach, degenerate rotations), and malformed ones (not a number, wrong shape), which have to be refused with an error
-that says what to do. For example: ``python scripts/check_robustness.py --category all --seeds 100 --workers 2 --json``.
+For every seed, it sends random key frames in the workspace with the hand open and closed, then wild ones (huge, zero,
+out of reach, degenerate rotations), then malformed ones (not a number, wrong shape). Malformed ones must be refused
+with a helpful error. For example: ``python scripts/check_robustness.py --category all --seeds 100 --workers 2 --json``.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 
 RANDOM_ACTIONS = 1
 MAX_JOINT_SPEED = 3.0
-"""[rad/s]: beyond a Panda's joint speed limits (2.175 to 2.61) something has exploded."""
+"""Joint speed of an unstable simulation [rad/s]. A Panda's limits are 2.175 to 2.61."""
 SLACK = 0.1
-"""An object's joint this far beyond its limits [rad or m] has been torn off."""
+"""Distance of an object's joint beyond its limits that counts as broken [rad or m]."""
 
 
 def random_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
-    """Key frames about the workspace: any position, any rotation, hand open or closed."""
+    """Yields random key frames in the workspace: any position, any rotation, hand open or closed."""
     for _ in range(RANDOM_ACTIONS):
         position = rng.uniform((0.2, -0.4, 0.3), (0.8, 0.4, 1.0))
         rotation = rotation_about(rng.normal(size=3), rng.uniform(0, np.pi))
@@ -38,19 +38,19 @@ def random_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
 
 
 def wild_actions(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
-    """Finite, of the right shape, and nothing anybody should send: two kinds of four."""
+    """Yields finite actions of the right shape that make no sense: two of four kinds."""
     yield from list(_wild(rng))[rng.integers(2) :: 2]
 
 
 def _wild(rng: np.random.Generator) -> Iterator[NDArray[np.float32]]:
     yield np.full(ACTION_DIM, rng.choice([1e6, -3e38]), np.float32)
     yield np.full(ACTION_DIM, rng.choice([0.0, 1e-40]), np.float32)
-    yield np.asarray([0.5, 0.0, 0.7, *[1.0, 0, 0] * 2, -5.0], np.float32)  # parallel rows name no rotation
+    yield np.asarray([0.5, 0.0, 0.7, *[1.0, 0, 0] * 2, -5.0], np.float32)  # parallel rows are not a rotation
     yield (10 * rng.normal(size=ACTION_DIM)).astype(np.float32)
 
 
 def malformed_actions() -> Iterator[Any]:
-    """What has to be refused."""
+    """Yields actions that must be refused."""
     yield np.full(ACTION_DIM, np.nan)
     yield np.r_[np.zeros(ACTION_DIM - 1), np.inf]
     yield np.zeros(ACTION_DIM - 1)
@@ -58,7 +58,7 @@ def malformed_actions() -> Iterator[Any]:
 
 
 def through(env: Any, seed: int) -> list[str]:
-    """Runs one seed in a task; returns what went wrong."""
+    """Runs one seed in a task and returns the problems."""
     env.reset(seed=seed, options={"reconfigure": True})
     rng, wrong = np.random.default_rng(seed), []
     for action in (*random_actions(rng), *wild_actions(rng)):
@@ -96,7 +96,7 @@ def _broken(env: Any, felt: Any) -> Iterator[str]:
 
 
 def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
-    """Runs seeds of a category in one simulator; returns what went wrong with each, and whether it could be placed."""
+    """Runs seeds of a category in one simulator. Returns the problems of each, and whether it could be placed."""
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.simulator import make_task
 
@@ -115,7 +115,7 @@ def check(category: str, seeds: list[int]) -> list[dict[str, Any]]:
 
 
 def main() -> int:
-    """Parses, runs, prints. Returns 0 if nothing went wrong."""
+    """Parses, runs, prints. Returns 0 without problems."""
     options = parser(__doc__, seeds=100, first_seed=7_000_000).parse_args()
     found, lines = run_seeds(check, options), []
     for name, results in found.items():

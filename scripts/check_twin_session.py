@@ -1,15 +1,15 @@
-"""A session on the simulated twin with LeRobot's own commands: record, teleoperate, replay, learn, roll out.
+"""Runs a session on the simulated twin with LeRobot's commands: record, teleoperate, replay, train, roll out.
 
     python scripts/check_twin_session.py --out outputs/twin --episodes 10
     python scripts/check_twin_session.py --out outputs/twin --policy CHECKPOINT/pretrained_model --seeds 20
 
 Records microwaves in lockstep through the scripted teleoperator, teleoperates in real time, replays an episode, makes
 key frames, plays them again in their scenes, and trains on them and simulated demonstrations. With ``--policy``,
-`lerobot-rollout` and `lerobot-eval` play the same seeds.
+`lerobot-rollout` and `lerobot-eval` run the same seeds.
 
-Returns 1 unless 9 of 10 recorded doors opened, both locked and free ones, the replay opened its door, key frames are
-described as simulated demonstrations are and hold accepted targets, 8 of 10 of them open their door again, the loss
-falls by half, and the roll-outs' success lies in the 95 % Wilson interval of the evaluation's.
+Returns 1 unless all of these hold: 9 of 10 recorded doors opened, both locked and free ones; the replay opened its
+door; the key frames have the metadata of simulated demonstrations and accepted targets; 8 of 10 open their door again;
+the loss falls by half; the rollouts' success is in the evaluation's 95 % Wilson interval.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from lerobot_adamanip.util.json_fields import parse, read
 from lerobot_policy_adamanip.common.recorded_rows import read_columns
 
 SHARE_OPENED, SHARE_REPLAYED = 0.9, 0.8
-"""Of the recorded doors, and of the converted episodes played again, that have to open."""
+"""Minimum shares of opened doors: in recordings, and in converted episodes played again."""
 ENDLESS = 24 * 3600
-"""The scripted teleoperator ends an episode; LeRobot's clock should not [s]."""
+"""Maximum duration of an episode [s]. The scripted teleoperator should end it earlier."""
 TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave", "--robot.split=test")
 LOCKSTEP, QUIET, DATASET = "--robot.clock=lockstep", "--play_sounds=false", "--dataset.repo_id=local/twin"
 Run = Callable[..., Path]
-"""(program, arguments...) -> log of its output; raises RuntimeError if it fails."""
+"""(program, arguments...) -> log of its output. Raises RuntimeError if it fails."""
 
 
 class Session:
@@ -53,7 +53,7 @@ class Session:
         self.commands: list[dict[str, Any]] = []
 
     def run(self, program: str, *arguments: str) -> Path:
-        """Runs a program and returns its log; raises RuntimeError with the end of that where it fails."""
+        """Runs a program and returns its log. On failure, raises RuntimeError with the end of the log."""
         log = self.out / f"{len(self.commands):02d}-{program}.log"
         sys.stderr.write(f"{program} {' '.join(arguments)}\n")
         started = time.monotonic()
@@ -68,7 +68,7 @@ class Session:
 
 
 def lines_of(log: Path) -> list[dict[str, Any]]:
-    """Returns the episodes of a twin's log, the last line of each number."""
+    """Returns the episodes of a twin's log, with the last line per number."""
     found = [parse(line) for line in log.read_text(encoding="utf-8").splitlines()]
     return list({line["episode"]: line for line in found}.values())
 
@@ -85,7 +85,7 @@ def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]
 
 
 def teleoperate(session: Session, options: argparse.Namespace) -> float:
-    """Drives the twin in real time; returns the seconds that passed in it."""
+    """Drives the twin in real time and returns its elapsed time [s]."""
     log = session.out / "teleoperated.jsonl"
     robot = (*TWIN, f"--robot.seed={options.seed}", f"--robot.episode_log={log}")
     teleop = ("--teleop.type=adamanip_scripted", "--fps=30", f"--teleop_time_s={options.teleoperate}")
@@ -94,7 +94,7 @@ def teleoperate(session: Session, options: argparse.Namespace) -> float:
 
 
 def replay(session: Session, options: argparse.Namespace, episode: int) -> bool:
-    """Replays a recorded episode in its scene; returns whether the door opened."""
+    """Replays a recorded episode in its scene. Returns whether the door opened."""
     log = session.out / "replayed.jsonl"
     robot = (*TWIN, LOCKSTEP, f"--robot.seed={options.seed + episode}", f"--robot.episode_log={log}")
     data = (DATASET, f"--dataset.root={session.out / 'recorded'}", f"--dataset.episode={episode}")
@@ -103,7 +103,7 @@ def replay(session: Session, options: argparse.Namespace, episode: int) -> bool:
 
 
 def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
-    """Plays each seed with a policy: by `lerobot-rollout` on the twin, and by `lerobot-eval`."""
+    """Runs a policy on each seed, with `lerobot-rollout` on the twin and with `lerobot-eval`."""
     log, evaluated, won = session.out / "rolled_out.jsonl", session.out / "evaluated.jsonl", 0
     for seed in range(options.seed, options.seed + options.seeds):
         robot = (*TWIN, LOCKSTEP, f"--robot.seed={seed}", f"--robot.episode_log={log}")
@@ -122,7 +122,7 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
 
 
 def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str, Any]]) -> dict[str, Any]:
-    """Makes key frames of the recording, plays them again, and trains on them and simulated ones."""
+    """Converts the recording to key frames, plays them again, and trains on them and simulated ones."""
     recorded, simulated, converted = (session.out / name for name in ("recorded", "simulated", "converted"))
     session.run("adamanip", "keyframes", str(recorded), "--out", str(converted))
     few = ("--category", "microwave", "--objects", "0:2", "--episodes-per-object", "2")
@@ -142,7 +142,7 @@ def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str
 
 
 def same_description(simulated: Path, converted: Path) -> bool:
-    """Returns whether both ``meta/info.json`` are equal but for counts and the camera's intrinsics."""
+    """Returns whether both ``meta/info.json`` are equal except counts and camera intrinsics."""
 
     def told(root: Path) -> dict[str, Any]:
         info = read(root / "meta" / "info.json")
@@ -153,14 +153,14 @@ def same_description(simulated: Path, converted: Path) -> bool:
 
 
 def rows_of(root: Path, *columns: str) -> dict[str, Any]:
-    """Returns columns of all rows, in order."""
+    """Returns the columns of all rows in order."""
     from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 
     return read_columns(LeRobotDatasetMetadata(f"local/{root.name}", root=root), columns)
 
 
 def accepted_targets(recorded: Path, converted: Path) -> bool:
-    """Returns whether each key frame's action is, in float32, a target that the arm had accepted in its episode."""
+    """Returns whether each key frame's action equals, in float32, a target that the arm accepted in its episode."""
     dense = rows_of(recorded, schema.STATE, "episode_index")
     sent = dense[schema.STATE][:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]].astype(np.float32)
     made, origin = rows_of(converted, schema.ACTION, schema.DONE, "episode_index"), origins_of(converted)
@@ -173,7 +173,7 @@ def accepted_targets(recorded: Path, converted: Path) -> bool:
 
 
 def origins_of(root: Path) -> list[int]:
-    """Returns the number, in its recording, of each converted episode."""
+    """Returns the recorded episode number of each converted episode."""
     import pyarrow.dataset as pads
 
     paths = [str(path) for path in sorted((root / "meta" / "episodes").rglob("*.parquet"))]
@@ -182,7 +182,7 @@ def origins_of(root: Path) -> list[int]:
 
 
 def played_again(converted: Path, seeds: Mapping[int, int]) -> tuple[int, int]:
-    """Plays each converted episode's actions in its scene: (how many opened the door, of how many)."""
+    """Plays each converted episode in its scene. Returns (number of opened doors, number of episodes)."""
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
     made = rows_of(converted, schema.ACTION, schema.DONE, "episode_index")
@@ -203,7 +203,7 @@ def played_again(converted: Path, seeds: Mapping[int, int]) -> tuple[int, int]:
 
 
 def mixed_training(run: Run, recorded: Path, simulated: Path, out: Path, steps: int) -> list[float]:
-    """Trains on key frames of the recording and simulated demonstrations together; returns the logged losses."""
+    """Trains on recorded key frames and simulated demonstrations. Returns the logged losses."""
     run("adamanip", "keyframes", str(recorded), str(simulated), "--out", str(out / "mix"))
     policy = ("--policy.type=dp3_adaptive", "--policy.device=cpu", "--policy.push_to_hub=false")
     data = ("--dataset.repo_id=local/mix", f"--dataset.root={out / 'mix'}", "--batch_size=32", "--num_workers=0")
@@ -217,15 +217,15 @@ def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--out", type=Path, required=True, help="new folder for datasets, logs and result.json")
     parser.add_argument("--episodes", type=count, default=10)
-    parser.add_argument("--seed", type=int, default=1000, help="of the first episode")
+    parser.add_argument("--seed", type=int, default=1000, help="seed of the first episode")
     parser.add_argument("--image-size", type=count, default=256)
     parser.add_argument("--teleoperate", type=float, default=10.0, metavar="SECONDS")
-    parser.add_argument("--steps", type=count, default=300, help="of the mixed training (%(default)s)")
-    parser.add_argument("--policy", type=Path, help="checkpoint whose preprocessor makes clouds from depth")
+    parser.add_argument("--steps", type=count, default=300, help="steps of the mixed training (%(default)s)")
+    parser.add_argument("--policy", type=Path, help="checkpoint with a preprocessor that makes clouds from depth")
     parser.add_argument("--seeds", type=count, default=20, help="of roll-outs")
     options = parser.parse_args(arguments)
     options.out.mkdir(parents=True)
-    # All of it runs in the repository's root, so that others can type the commands of the result.
+    # Use paths relative to the repository's root, so that others can run the commands in the result.
     options.out, options.policy = (each and Path(os.path.relpath(each, ROOT)) for each in (options.out, options.policy))
     os.chdir(ROOT)
     session = Session(options.out)

@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # The whole loop at a size for two CPU cores: demonstrations of a few safes, dp3_adaptive trained on them, evaluated.
-# Clouds alone: nothing has to render. Where something does, the objects are drawn and the videos have their colours.
+# Uses clouds only, so no renderer is needed. With one, it also draws the objects, and videos have colours.
 # Sizes can be changed: SAFES=0:2 EPISODES=5 STEPS=200 EVALUATE=4 bash scripts/demo.sh
 set -euo pipefail
 cd "$(dirname "$0")/.."

@@ -1,7 +1,7 @@
 """Writes docs/cards: ``python scripts/make_cards.py [--demo outputs/demo] [--only environment]``.
 
-The cards are those that `adamanip push` would publish, checked as it checks them. That of the environments changes
-with results/experts.json; those of a dataset and a model need what `make demo` leaves.
+The cards and their checks are those of `adamanip push`. The environments' card depends on results/experts.json. The
+dataset's and the model's card need the output of `make demo`.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from lerobot_env_adamanip.fingerprint import code_fingerprint
 ROOT = Path(__file__).resolve().parents[1]
 CARDS = ROOT / "docs" / "cards"
 DATASET, MODEL, ENVIRONMENT = "USER/adamanip-safe", "USER/dp3-safe", "USER/adamanip"
-"""Names that the cards' commands have."""
+"""Repository names in the cards' commands."""
 RESULTS, EXPERTS = ROOT / "results" / "demo.json", ROOT / "results" / "experts.json"
 
 
@@ -28,7 +28,7 @@ def environment(into: Path) -> Staged:
 
 
 def as_sample(card: str) -> str:
-    """Returns a card whose heading says that it is a sample."""
+    """Returns the card with the heading marked as a sample."""
     return card.replace("\n# ", "\n# Sample card: ", 1)
 
 
@@ -36,7 +36,7 @@ def main() -> None:
     """Writes the three cards."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, default=ROOT / "outputs" / "demo", help="folder of `make demo`")
-    parser.add_argument("--only", choices=("dataset", "model", "environment"), help="write this card alone")
+    parser.add_argument("--only", choices=("dataset", "model", "environment"), help="write only this card")
     given = parser.parse_args()
     demo = given.demo
     policy = demo / "train" / "checkpoints" / "last"

@@ -1,4 +1,4 @@
-"""Write docs/categories.md and docs/mechanism_rules.md: ``python scripts/make_category_table.py [--check]``."""
+"""Writes docs/categories.md and docs/mechanism_rules.md: ``python scripts/make_category_table.py [--check]``."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def _mechanisms() -> list[str]:
 
 
 def _rules() -> str:
-    """Returns the page of rule sets: where they differ, and the sentences of the paper that `paper` follows."""
+    """Returns the page of rule sets: their differences, and the paper's sentences behind `paper`."""
     names = tuple(MECHANISM_RULES)
     lines = [f"# Mechanism rules\n\n{GENERATED}\n"]
     lines += [

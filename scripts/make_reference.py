@@ -1,6 +1,6 @@
-"""Write docs/command_line/*.md and docs/environments.md from the source of the options.
+"""Writes docs/command_line/*.md and docs/environments.md from the source of the options.
 
-Run ``python scripts/make_reference.py``; with ``--check`` it only says which page is stale.
+Run ``python scripts/make_reference.py``. With ``--check`` it only lists outdated pages.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ HEAD = "Generated from the source by `python scripts/make_reference.py`; a test 
 
 
 class Option(NamedTuple):
-    """One field of an options' class: name, annotation as in the source, and its text."""
+    """A field of an options class: name, annotation as in the source, and help text."""
 
     name: str
     kind: str

@@ -1,7 +1,7 @@
 """Writes docs/results.md, docs/results.csv and the README's results: ``python scripts/make_results.py [--check]``.
 
-They are made from results/*.json; results of `adamanip benchmark` in results/benchmark/SCALE/*.json are a part of both.
-Numbers of another fingerprint than the present code's do not reach the README; docs/results.md marks them.
+The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. Numbers with another
+fingerprint than the current code are not in the README; docs/results.md marks them.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json", "policies.json", "experts.json")
-"""Result files that the README may show; docs/results.md shows all."""
+"""Result files for the README. docs/results.md shows all."""
 PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
 
 
 def read_results(folder: Path) -> dict[str, ResultFile]:
-    """Returns file name -> result, in order of names; raises `DatasetError` for a file that is none."""
+    """Returns file name -> result, sorted by name. Raises `DatasetError` for an invalid file."""
     return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
 def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[BenchmarkReport]:
-    """Yields the report of each scale that the paper's declaration has results of."""
+    """Yields a report per scale of the paper's declaration that has results."""
     declaration = read_declaration()
     for scale in declaration.scales:
         if results := read_cells(folder / "benchmark" / scale):
@@ -41,7 +41,7 @@ def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[Benchm
 
 
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
-    """Returns document -> what it has to say."""
+    """Returns document -> text."""
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
@@ -53,7 +53,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
 
 
 def main() -> int:
-    """Writes them, or says which is not what it would write; 0 if all is well."""
+    """Writes the documents, or lists outdated ones. Returns 0 on success."""
     return document_command(__doc__, lambda: documents(RESULTS, present_fingerprints()))
 
 

@@ -6,7 +6,7 @@ cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 out=${OUT:-outputs/nightly} workers=${WORKERS:-$(nproc)} episodes=${EPISODES:-20}
 python=.venv/bin/python
-# Other scenes each day, so that experts do not only pass on the scenes they were tuned on.
+# New scenes each day, so that experts are not only tested on the scenes they were tuned on.
 first_seed=${FIRST_SEED:-$((12000000 + 10#$(date -u +%j) * 10000))}
 export OMP_NUM_THREADS=1 PYTHONUNBUFFERED=1
 failed=()
@@ -21,8 +21,8 @@ part() {
     printf '== %s: %d s\n' "$name" $((SECONDS - began))
 }
 
-# The simulated FR3 brings the package `pin`, which would take the place of SAPIEN's own kinematics: it has a folder of its
-# own. In it, `pin` lies in a folder that only a .pth file names, which Python reads in site-packages alone.
+# The simulated FR3 needs the package `pin`, which would replace SAPIEN's own kinematics. So it has a separate folder.
+# There, only a .pth file leads to `pin`, and Python reads .pth files only in site-packages.
 simulated_arm() {
     local here version
     here=$(realpath -m "$out")/franky_sim
@@ -36,7 +36,7 @@ tests=("$python" -m pytest -n "$workers" --dist worksteal)
 part "long tests" "${tests[@]}" -m "nightly and not franky"
 part "simulated FR3" simulated_arm
 part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
-# Fails below 97 % of a category or 99 % of all, for either expert under any preset.
+# Fails below 97 % in a category or 99 % on average, for either expert and any preset.
 part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers"
 part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --workers "$workers"

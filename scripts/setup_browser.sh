@@ -1,12 +1,12 @@
 #!/usr/bin/env bash
-# Installs Chromium for the test of the annotation page, unless there is one: Debian's package, else Playwright's download
-# in the user's cache. Without any, that test is skipped, or fails if CI is set. NO_SYSTEM=1 installs none.
+# Installs Chromium, if missing, for the test of the annotation page: Debian's package, else Playwright's download in the
+# user's cache. Without Chromium that test is skipped, or fails if CI is set. NO_SYSTEM=1 installs nothing.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 source scripts/setup_common.sh
 
-# Runs it, because Ubuntu's command of that name only prints which snap to install.
+# Runs Chromium, because Ubuntu's command of that name may only print which snap to install.
 found() {
     local candidate
     for candidate in chromium chromium-browser google-chrome google-chrome-stable; do
@@ -24,7 +24,7 @@ print("Playwright's Chromium")
 PYTHON
 }
 
-# Debian's package; Ubuntu's of that name is a snap in disguise, or none.
+# Debian's package. Ubuntu's package of that name installs a snap, or is missing.
 debian_chromium() {
     can_install || return 1
     [[ "$(. /etc/os-release && printf '%s' "$ID")" == debian ]] || return 1

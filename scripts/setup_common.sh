@@ -1,11 +1,11 @@
 # Shared by the scripts of `make setup`. Sourced, not run.
 #
-# What is installed outside .venv is named before it is installed, and with NO_SYSTEM=1 not installed at all.
+# Names packages outside .venv before installing them. With NO_SYSTEM=1 they are not installed.
 
 say() { printf '== %s\n' "$*"; }
 has() { command -v "$1" >/dev/null 2>&1; }
 
-# Whether packages of the system are to be left alone.
+# Whether system packages must stay unchanged.
 no_system() { [[ -n "${NO_SYSTEM:-}" && "${NO_SYSTEM}" != 0 ]]; }
 
 can_be_root() { [[ $EUID -eq 0 ]] || { has sudo && sudo -n true 2>/dev/null; }; }
@@ -16,10 +16,10 @@ as_root() {
     if [[ $EUID -eq 0 ]]; then DEBIAN_FRONTEND=noninteractive "$@"; else sudo -n env DEBIAN_FRONTEND=noninteractive "$@"; fi
 }
 
-# Says what is about to be installed system-wide, on standard error, so that a function may print a result.
+# Prints system-wide installations to standard error, so that functions can print results.
 announce() { say "installing system-wide, with apt-get as root: $* (NO_SYSTEM=1 make ... refrains)" >&2; }
 
-# Somebody else's broken source must not stop ours: a failed update is told, not fatal.
+# A broken third-party package source must not stop the setup, so a failed update is only reported.
 update() { as_root apt-get update -qq >&2 || say "apt-get update reported errors; going on with what it has" >&2; }
 
 install() { as_root apt-get install -y -qq --no-install-recommends "$@" >&2; }

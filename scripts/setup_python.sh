@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
-# Creates .venv with Python 3.12 and installs the project with the pinned packages of constraints.txt. A Python that is
-# missing is the distribution's, installed as root; NO_SYSTEM=1 says what to install instead.
+# Creates .venv with Python 3.12 and installs the project with the pinned packages of constraints.txt. A missing Python is
+# installed as root from the distribution. With NO_SYSTEM=1 the script only prints the command.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 export PIP_DISABLE_PIP_VERSION_CHECK=1
@@ -10,7 +10,7 @@ VENV=.venv
 
 source scripts/setup_common.sh
 
-# A pyenv shim exists for every Python ever installed and fails when called: run it, do not only look for it.
+# A pyenv shim exists for every Python ever installed, but may fail when called. So run it.
 is_wanted() { [[ "$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])' 2>/dev/null || true)" == "$WANTED" ]]; }
 
 find_python() {
@@ -27,7 +27,7 @@ find_python() {
     return 1
 }
 
-# Installs the distribution's own Python 3.12 (Ubuntu 24.04 has it), with the venv module that Debian ships apart.
+# Installs the distribution's Python 3.12 (Ubuntu 24.04 has it) and Debian's separate venv module.
 apt_python() {
     can_install || return 1
     announce "python$WANTED python$WANTED-venv, if this distribution has them"
@@ -52,14 +52,14 @@ TEXT
 create_venv() {
     local python
     if ! python=$(find_python); then
-        # uv brings a Python of its own; else the distribution may have one.
+        # uv has its own Python; otherwise the distribution may have one.
         if has uv && uv venv --quiet --clear --seed --python "$WANTED" "$VENV"; then return 0; fi
         apt_python && python=$(find_python) || { explain_missing; exit 1; }
     fi
     [[ ! -e "$VENV" ]] || say "replacing $VENV, which has another Python"
     say "creating $VENV with $("$python" --version) ($python)"
     "$python" -m venv --clear "$VENV" >/dev/null 2>&1 && return 0
-    # Debian and Ubuntu split ensurepip off.
+    # Debian and Ubuntu ship ensurepip in a separate package.
     if has uv && uv venv --quiet --clear --seed --python "$python" "$VENV"; then return 0; fi
     apt_python && "$python" -m venv --clear "$VENV" && return 0
     rm -rf "$VENV"
@@ -71,7 +71,7 @@ install_project() {
     local what=(-e '.[sim,annotate,assets,cluster,docs,dev]' -c constraints.txt)
     say "installing the project and its dependencies (6.6 GB; a few minutes the first time)"
     if has uv; then
-        # pip may be configured for a mirror that uv does not know of.
+        # pip may be configured for a mirror that uv does not know.
         uv pip install --quiet --python "$VENV/bin/python" "${what[@]}" && return 0
         say "uv failed (see above); trying pip"
     fi

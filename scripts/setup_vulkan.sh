@@ -1,23 +1,23 @@
 #!/usr/bin/env bash
-# Sets up a Vulkan device for SAPIEN: a GPU's, else Mesa's lavapipe (on the CPU; Mesa >= 24.3). With the argument
-# "libraries", only what SAPIEN and OpenCV need to be imported: clouds need no Vulkan device.
+# Sets up a Vulkan device for SAPIEN: a GPU, else Mesa's lavapipe (on the CPU; Mesa >= 24.3). With the argument
+# "libraries", installs only the libraries to import SAPIEN and OpenCV: clouds need no Vulkan device.
 # Installs packages on Debian and Ubuntu as root, after naming them; with NO_SYSTEM=1, and elsewhere, it prints them.
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."
 
 MIN_MESA=24.3
-# libx11 is what sapien links; libGL, glib, libSM and libXext are opencv-python's; libEGL is the NVIDIA driver's way to a GPU.
+# sapien needs libx11; opencv-python needs libGL, glib, libSM and libXext; the NVIDIA driver needs libEGL.
 LIBRARIES=(libvulkan1 libgl1 libegl1 libglib2.0-0 libx11-6 libxext6 libsm6)
 BACKPORTS_FILE=/etc/apt/sources.list.d/adamanip-backports.sources
 
 source scripts/setup_common.sh
 
-# In a process of its own: a broken driver may segfault instead of raising.
+# In a separate process: a broken driver may segfault instead of raising.
 renders() { timeout 180 .venv/bin/python -m lerobot_env_adamanip.sim.render_probe; }
 
 imports() { .venv/bin/python -c "import sapien, cv2" 2>/dev/null; }
 
-# What is there already stays at its version: this machine's other programs are not ours to upgrade.
+# Installed packages keep their versions, since other programs may need them.
 install_libraries() { install --no-upgrade "${LIBRARIES[@]}"; }
 
 # The newest version apt would install, `$1` a package and `$2` (optional) a release to prefer.

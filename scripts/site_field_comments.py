@@ -1,6 +1,6 @@
-"""Griffe extension of the API reference: the comment above a configuration's field is its documentation.
+"""Griffe extension for the API reference: uses the comment above a configuration field as its documentation.
 
-LeRobot's options are documented that way, and `lerobot-train --help` prints them.
+LeRobot's options are documented this way, and `lerobot-train --help` prints these comments.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from griffe import Attribute, Class, Docstring, Extension
 
 
 class FieldComments(Extension):
-    """Takes the comment lines right above a class attribute for its docstring, if it has none."""
+    """Uses the comment lines directly above a class attribute as its docstring, if it has none."""
 
     def on_attribute_instance(self, *, attr: Attribute, **_: Any) -> None:
-        """Called by Griffe for each attribute it has read."""
+        """Sets a missing docstring. Griffe calls it for each attribute."""
         if attr.docstring is not None or not isinstance(attr.parent, Class) or attr.lineno is None:
             return
         lines = attr.lines_collection[attr.filepath]

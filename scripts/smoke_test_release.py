@@ -1,8 +1,8 @@
-"""Installs a built wheel into an environment of its own and tries it: `python scripts/smoke_test_release.py dist`.
+"""Installs a built wheel into a new environment and tests it: `python scripts/smoke_test_release.py dist`.
 
-Nothing of the checkout is seen: another folder, no PYTHONPATH. With --share-packages the dependencies are those of the
-Python that runs this, and nothing is downloaded; without it pip fetches them, as for a user of the release.
-Exit status 0 if all is well, 1 if not.
+The test does not see the checkout: it runs in another folder without PYTHONPATH. --share-packages uses the dependencies
+of the running Python and downloads nothing. Without it, pip downloads them, as for a user of the release. Exit status 0
+on success, 1 on failure.
 """
 
 from __future__ import annotations
@@ -50,22 +50,22 @@ print(json.dumps({"state": observation["agent_pos"].shape == (STATE_DIM,), "succ
 """
 TYPES = {"adamanip", "adamanip_safe", "adamanip_lamp", "dp3_adaptive", "vat_mart", "adaafford", "sampling"}
 SIMULATOR = {"mani-skill", "sapien", "opencv-python", "cv2", "Ray-cast clouds"}
-"""Checks of `adamanip doctor` that a release without the extra `sim` cannot pass."""
+"""Checks of `adamanip doctor` that fail without the extra `sim`."""
 
 
 class ReleaseError(Exception):
-    """The release does not do what it shall."""
+    """The release fails a check."""
 
 
 def main() -> int:
-    """Runs every check and says which hold."""
+    """Runs all checks and prints the passed ones."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("dist", type=Path, help="folder with one wheel and one source archive, or the wheel itself")
     parser.add_argument("--share-packages", action="store_true", help="use this Python's packages, download nothing")
-    parser.add_argument("--extras", default="", help="extras to install, as in `sim,assets`")
-    parser.add_argument("--constraints", type=Path, help="a constraints file for pip")
-    parser.add_argument("--tag", help="the git tag, which has to be v and the version; empty: none")
-    parser.add_argument("--no-simulator", action="store_true", help="try neither what renders nor an environment")
+    parser.add_argument("--extras", default="", help="extras to install, e.g. `sim,assets`")
+    parser.add_argument("--constraints", type=Path, help="constraints file for pip")
+    parser.add_argument("--tag", help="git tag, which must be v and the version; empty for none")
+    parser.add_argument("--no-simulator", action="store_true", help="skip checks that render or simulate")
     options = parser.parse_args()
     try:
         wheel = find_wheel(options.dist)
@@ -82,7 +82,7 @@ def main() -> int:
 
 
 def find_wheel(dist: Path) -> Path:
-    """The wheel of a folder; a folder with two versions is no release."""
+    """Returns the only wheel in a folder. Raises `ReleaseError` for none or several."""
     wheels = [dist] if dist.suffix == ".whl" else sorted(dist.glob("*.whl"))
     if len(wheels) != 1:
         raise ReleaseError(f"{dist}: one wheel wanted, found {[wheel.name for wheel in wheels]}")
@@ -90,18 +90,18 @@ def find_wheel(dist: Path) -> Path:
 
 
 def version_of(wheel: Path) -> str:
-    """Version in a wheel's file name."""
+    """Returns the version in a wheel's file name."""
     return wheel.name.split("-")[1]
 
 
 def check_tag(wheel: Path, tag: str | None) -> None:
-    """A tag says the version and nothing else, or what it publishes is not what it says."""
+    """Raises `ReleaseError` for a tag that is not v and the wheel's version."""
     if tag and tag != f"v{version_of(wheel)}":
         raise ReleaseError(f"tag {tag!r}, but the version is {version_of(wheel)}: tag v{version_of(wheel)}")
 
 
 def make_environment(folder: Path, wheel: Path, options: argparse.Namespace) -> Path:
-    """A fresh environment with the wheel; returns its Python."""
+    """Creates a new environment with the wheel and returns its Python."""
     if options.share_packages:
         return share_packages(folder, wheel)
     venv.create(folder, with_pip=True)
@@ -113,10 +113,10 @@ def make_environment(folder: Path, wheel: Path, options: argparse.Namespace) -> 
 
 
 def share_packages(folder: Path, wheel: Path) -> Path:
-    """A fresh environment with the wheel alone; the dependencies are links to this one's packages. Returns its Python.
+    """Creates a new environment with the wheel and links to this one's packages. Returns its Python.
 
-    Links, one per installed package, rather than a .pth line with the whole folder: that one may hold an editable
-    installation of a checkout, and the sources would be tried instead of the wheel.
+    It links each package instead of the whole folder in a .pth file. The folder may contain an editable installation of
+    a checkout, and the test would then run the sources instead of the wheel.
     """
     venv.create(folder, with_pip=False, symlinks=True)
     python = folder / "bin" / "python"
@@ -130,7 +130,7 @@ def share_packages(folder: Path, wheel: Path) -> Path:
 
 
 def try_release(python: Path, wheel: Path, folder: Path, *, simulator: bool) -> Iterator[str]:
-    """Yields the name of each check that holds; raises `ReleaseError` at the first that does not."""
+    """Yields the name of each passed check. Raises `ReleaseError` at the first failure."""
     version, command = version_of(wheel), str(python.parent / "adamanip")
     facts = answer(python, FACTS, folder)
     outside = [file for file in facts["files"] if not Path(file).is_relative_to(python.parents[1])]
@@ -148,7 +148,7 @@ def try_release(python: Path, wheel: Path, folder: Path, *, simulator: bool) -> 
 
 
 def try_simulator(python: Path, folder: Path, *, simulates: bool) -> Iterator[str]:
-    """Yields the name of each check that needs the simulator, or says that it is not installed."""
+    """Yields the name of each passed check of the simulator, or a text that it is not installed."""
     report = json.loads(run([str(python.parent / "adamanip"), "doctor", "--json"], folder, statuses=(0, 1)))
     failed = {check["name"] for check in report["checks"] if check["required"] and not check["ok"]}
     expect(not failed - (set() if simulates else SIMULATOR), f"adamanip doctor: {sorted(failed)}")
@@ -159,18 +159,18 @@ def try_simulator(python: Path, folder: Path, *, simulates: bool) -> Iterator[st
 
 
 def expect(holds: bool, otherwise: str) -> None:
-    """Raises `ReleaseError` with the text if something does not hold."""
+    """Raises `ReleaseError` with the text ``otherwise`` if ``holds`` is False."""
     if not holds:
         raise ReleaseError(otherwise)
 
 
 def answer(python: Path, code: str, folder: Path) -> Any:
-    """What a program prints as JSON on its last line."""
+    """Returns the JSON value on the last line of a program's output."""
     return json.loads(run([str(python), "-c", code], folder).strip().splitlines()[-1])
 
 
 def run(command: list[str], folder: Path, *, statuses: tuple[int, ...] = (0,)) -> str:
-    """Runs a program in a folder that is no checkout; returns what it prints, raises `ReleaseError` if it fails."""
+    """Runs a program in a folder outside the checkout and returns its output. Raises `ReleaseError` on failure."""
     variables = {name: value for name, value in os.environ.items() if not name.startswith("PYTHON")}
     done = subprocess.run(command, cwd=folder.parent, env=variables, capture_output=True, text=True, check=False)
     if done.returncode not in statuses:

@@ -1,1 +1,1 @@
-"""The twin's robot, camera and scripted teleoperator as LeRobot sees them; the simulator is in another process."""
+"""LeRobot devices of the twin: robot, camera and scripted teleoperator. The simulator runs in another process."""

@@ -1,4 +1,4 @@
-"""Options of the twin: its robot, its camera, and the teleoperator that plays experts."""
+"""Options of the twin: its robot, its camera, and the scripted teleoperator."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ from lerobot_adamanip.util.errors import ConfigurationError, require_choice, sho
 CLOCKS = ("realtime", "lockstep")
 DEPTH_SOURCES = ("render", "raycast")
 FRONT = "front"
-"""Key of the twin's one camera."""
+"""Key of the twin's only camera."""
 
 
 @CameraConfig.register_subclass("adamanip_twin")
 @dataclass(kw_only=True)
 class AdamanipTwinConfig(CameraConfig):
-    """The front camera of the twin's scene, colour and depth of one moment. Its size is the robot's to say.
+    """Front camera of the twin's scene, with colour and depth of one moment. The robot sets its size.
 
-    ``fps`` is its rate in real time (default 10: a picture takes some 50 ms of a processor); in lockstep it takes
-    one per observation. ``width`` and ``height`` are the twin's; others are refused.
+    ``fps`` is its rate in real time (default 10: a picture takes about 50 ms of CPU time). In lockstep it takes one
+    picture per observation. ``width`` and ``height`` must be the twin's, if set.
     """
 
     use_rgb: bool = True
@@ -40,16 +40,16 @@ class AdamanipTwinConfig(CameraConfig):
 @TeleoperatorConfig.register_subclass("adamanip_scripted")
 @dataclass(kw_only=True)
 class AdamanipScriptedConfig(TcpTeleopConfig):
-    """Plays this project's adaptive expert on the twin, at human speed; idle once it has nothing more to do."""
+    """Plays this project's adaptive expert on the twin at human speed. It is idle after the expert has ended."""
 
     speed: float = 0.2
-    """Peak of each motion [m/s]."""
+    """Peak speed of each motion [m/s]."""
 
     angular_speed: float = 0.8
-    """Likewise [rad/s]."""
+    """Peak angular speed of each motion [rad/s]."""
 
     pause: float = 0.3
-    """Between two motions [s], as a person looks before going on."""
+    """Pause between two motions [s], similar to a person's."""
 
     trials: int = 1
     """Failed tries before the expert changes its hypothesis."""
@@ -64,88 +64,88 @@ class AdamanipScriptedConfig(TcpTeleopConfig):
 @RobotConfig.register_subclass("adamanip_franka_sim")
 @dataclass(kw_only=True)
 class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
-    """The simulated arm before one of this project's objects, behind the names of the real one. See docs/twin.md.
+    """A simulated arm with one of this project's objects, with the feature names of the real arm. See docs/twin.md.
 
-    Options of a real arm alone (address, dynamics, stiffness ...) have no effect.
+    Options that only concern a real arm (address, dynamics, stiffness ...) have no effect.
     """
 
     category: str = "microwave"
-    """bottle ... lamp."""
+    """Category of the object: bottle ... lamp."""
 
     objects: str = "seen"
-    """seen, unseen, FIRST:END or ids; an episode's is drawn from its seed."""
+    """Objects: seen, unseen, FIRST:END or ids. Each episode draws one with its seed."""
 
     assets: str | None = None
-    """Folder of external assets to use instead."""
+    """Folder of external assets, used instead of generated objects."""
 
     split: str = "validation"
-    """Whose scenes seeds stand for: validation, test or train."""
+    """Scene split of the seeds: validation, test or train."""
 
     poses: str = "randomized"
-    """randomized, or fixed as upstream's code has them."""
+    """Poses: randomized, or fixed as in upstream's code."""
 
     mechanism_rules: str = "paper"
-    """paper, upstream or hard."""
+    """Rules of mechanisms: paper, upstream or hard."""
 
     mechanism_preset: str | None = None
-    """Former name of mechanism_rules; setting it is an error that says so."""
+    """Former name of mechanism_rules. Setting it raises an error."""
 
     hidden: dict[str, Any] = field(default_factory=dict)
-    """Fixed hidden values, '{locked: true}'; what is left out is drawn from the seed."""
+    """Fixed hidden values, e.g. '{locked: true}'. The others are drawn with the seed."""
 
     seed: int = 0
-    """Of the first episode; episode k of a recording has seed + k."""
+    """Seed of the first episode. Episode k of a recording has seed + k."""
 
     clock: str = "realtime"
-    """realtime: the machine's clock. lockstep: each action advances time by 1/fps: the same data on every machine."""
+    """Clock. realtime: the machine's clock. lockstep: each action advances 1/fps, with equal data on every machine."""
 
     fps: float = 30.0
-    """Of the command's loop, in lockstep: what a step is one part of."""
+    """Rate of the command's loop [Hz], for lockstep: one step takes 1/fps."""
 
     camera: bool = True
-    """Whether there is a camera; without one nothing renders."""
+    """Whether the twin has a camera. Without one nothing is rendered."""
 
     camera_hz: int = 10
-    """How often it looks in realtime."""
+    """Rate of the camera in real time [Hz]."""
 
     image_size: int = IMAGE_SIZE
-    """Side of its pictures [px]."""
+    """Side length of the camera's pictures [px]."""
 
     depth_source: str = "render"
-    """render, or raycast where there is no Vulkan device: then colours are missing."""
+    """Source of depth: render, or raycast for machines without a Vulkan device. raycast has no colours."""
 
     render_backend: str = "auto"
-    """auto, cuda or cpu."""
+    """Device of the renderer: auto, cuda or cpu."""
 
     episode_log: str | None = None
-    """JSON lines, one per episode, with success and what was hidden; a recording writes one beside its dataset."""
+    """Log file with success and hidden values, one JSON line per episode. Recordings write one next to the dataset."""
 
     max_key_frames: int = MAX_KEY_FRAMES
-    """Under execution=keyframe the episode is over after so many, or with success; what comes then is not executed."""
+    """Maximum key frames of an episode with execution=keyframe. Actions after that or after success have no effect."""
 
     end_when_done: bool = False
-    """End the command, as Ctrl-C does, when such an episode is over: a roll-out would go on for ever."""
+    """End the command, like Ctrl-C, at the end of such an episode. Otherwise a rollout never ends."""
 
     box_lower: tuple[float, float, float] | None = (-0.3, -1.0, -0.2)
-    """Nothing here breaks: the box holds all that the arm reaches."""
+    """Lowest corner of the box [m, base frame]. It contains all that the arm reaches, since nothing can break."""
 
     box_upper: tuple[float, float, float] | None = (1.3, 1.0, 1.5)
-    """Its highest corner."""
+    """Highest corner of the box [m, base frame]."""
 
     speed: float = 0.3
-    """Of a streamed target [m/s]."""
+    """Maximum speed of a streamed target [m/s]."""
 
     angular_speed: float = 1.2
-    """Of a streamed target [rad/s]."""
+    """Maximum angular speed of a streamed target [rad/s]."""
 
     state_age: float = 5.0
-    """A picture that takes long delays the twin's state; nothing is in danger meanwhile."""
+    """Maximum age of the arm's state [s]. A slow picture may delay it without danger."""
 
     camera_age: float = 2.0
-    """Likewise its pictures."""
+    """Maximum age of a camera frame [s]."""
 
     def __post_init__(self) -> None:
-        """Raises `AdaManipError` for what cannot be meant."""
+        """Raises `AdaManipError` for an invalid option."""
         if self.camera and not self.cameras:
             self.cameras = {FRONT: AdamanipTwinConfig()}
         for camera in self.cameras.values():
@@ -164,7 +164,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
             self.environment()
 
     def environment(self) -> EnvironmentOptions:
-        """Returns the scenes. Raises `ConfigurationError`."""
+        """Returns the options of the scenes. Raises `ConfigurationError`."""
         return EnvironmentOptions(
             category=self.category,
             objects=self.objects,

@@ -1,4 +1,4 @@
-"""The classes that LeRobot looks for beside `config_devices`."""
+"""Device classes. LeRobot looks for them next to `config_devices`."""
 
 from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 from lerobot_env_adamanip.twin.scripted import AdamanipScripted

@@ -1,4 +1,4 @@
-"""The robot `adamanip_franka_sim`: the real one's class, with a simulator as the arm's process."""
+"""The robot `adamanip_franka_sim`: the class of the real robot with a simulator as the arm process."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, T
 from lerobot_env_adamanip.twin.twin_camera import AdamanipTwin
 
 START_TIME, RESET_TIME = 600.0, 300.0
-"""Longest start of the simulator, and reset of a scene [s]."""
+"""Time limit for the start of the simulator and for a scene reset [s]."""
 
 
 class AdamanipFrankaSim(AdamanipFranka):
@@ -37,19 +37,19 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._stands_at(config.seed)
 
     def _stands_at(self, seed: int) -> None:
-        """Notes that the untouched scene of a seed is there."""
+        """Stores that the scene of a seed is loaded and untouched."""
         self._seed, self._moved = seed, False
         self._key_frames, self._over = 0, False
 
-    # Life ------------------------------------------------------------------------------------------------------------
+    # Connection ------------------------------------------------------------------------------------------------------
 
     @property
     def is_calibrated(self) -> bool:
-        """True: the twin's process knows its camera."""
+        """Always True: the twin process provides the calibration."""
         return True
 
     def calibrate(self) -> None:
-        """Nothing to calibrate."""
+        """Does nothing: there is nothing to calibrate."""
 
     def _make_client(self) -> ArmClient:
         config = self.config
@@ -78,10 +78,10 @@ class AdamanipFrankaSim(AdamanipFranka):
                 self._session.calibrations[key] = calibration
 
     def _read_calibrations(self) -> None:
-        """Reads no file: the twin's process knows its camera."""
+        """Does nothing: the twin process provides the calibration."""
 
     def disconnect(self) -> None:
-        """As of every robot; first logs an episode outside a recording to ``episode_log``."""
+        """Disconnects. First logs an episode outside a recording to ``episode_log``."""
         if self.is_connected and self._moved and self.config.episode_log is not None:
             self._log(Path(self.config.episode_log), None)
             self._moved = False
@@ -90,7 +90,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     # Observation and action ------------------------------------------------------------------------------------------
 
     def get_observation(self) -> dict[str, Any]:
-        """As of every robot; first resets the scene if the operator wants it."""
+        """Returns state and images. First resets the scene if the operator requests it."""
         if self._session.details.pop(RESET_WANTED, False):
             self.put_up(self._seed)
             self._session.episodes += 1
@@ -98,12 +98,12 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def _scalars(self, reading: ArmReading) -> dict[str, float]:
         self._session.details[SUCCESS] = self._succeeded()
-        if self.config.clock == "lockstep":  # equal steps give equal data
+        if self.config.clock == "lockstep":  # so that equal steps give equal data
             reading = replace(reading, stamp=self._connected_at + reading.robot_time)
         return super()._scalars(reading)
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """As of every robot; after the end of an episode of key frames nothing is executed, see ``max_key_frames``."""
+        """Sends an action. After the end of a key-frame episode it has no effect, see ``max_key_frames``."""
         if self._over:
             sent = self._session.sent
             assert sent is not None
@@ -126,7 +126,7 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     @property
     def resets_itself(self) -> bool:
-        """True: no person has to reset the scene."""
+        """Always True: no person needs to reset the scene."""
         return True
 
     def put_up(self, seed: int) -> None:
@@ -141,13 +141,13 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._stands_at(seed)
 
     def begin_episode(self, index: int) -> None:
-        """Resets to the scene of episode ``index``, unless it stands there untouched."""
+        """Resets to the scene of episode ``index``, unless it is loaded and untouched."""
         seed = self.config.seed + index
         if self._moved or seed != self._seed:
             self.put_up(seed)
 
     def end_episode(self, index: int, root: Path) -> None:
-        """Logs the episode to ``episode_log`` or beside its dataset; the last line of a number counts."""
+        """Logs the episode to ``episode_log`` or next to its dataset. For equal numbers the last line counts."""
         if self.is_connected:
             log = self.config.episode_log
             self._log(Path(log) if log is not None else root.with_name(f"{root.name}.episodes.jsonl"), index)

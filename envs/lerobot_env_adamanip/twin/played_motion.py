@@ -1,4 +1,4 @@
-"""A key frame streamed at human speed, and judged by the arm's readings."""
+"""Streams a key frame at human speed and determines its outcome from the arm's readings."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ from lerobot_adamanip.hardware.target_geometry import Target
 Array = NDArray[np.float64]
 
 STILL_POSITION, STILL_ROTATION, STILL_GRIPPER = 0.001, 0.004, 0.01
-"""Largest motion of an arm at rest within `STILL_TIME` [m, rad, share of the opening]."""
+"""Maximum motion of an arm at rest within `STILL_TIME` [m, rad, fraction of the opening]."""
 STILL_TIME = 0.4
-"""[s]"""
+"""Time window of the rest test [s]."""
 LAG_POSITION, LAG_ROTATION = 0.5, 0.5
-"""Lag of a blocked arm at rest, as a share of a key frame's stall."""
+"""Lag of a blocked arm at rest, as a fraction of a key frame's stall lag."""
 STRAINED = 2.0
-"""Torque that some joint of a blocked arm exceeds [N m]; an arm at the end of its reach exerts none."""
+"""Joint torque above which the arm is blocked [N m]. An arm at the limit of its reach exerts none."""
 PATIENCE = 8.0
 """Delay after which a motion times out [s]."""
 
 
 @dataclass
 class PlayedMotion:
-    """Streams from where the tool is to a goal, then moves the fingers, then waits.
+    """Streams targets from the current pose to a goal, then moves the fingers, then waits.
 
     Args:
-        start: (4, 4) measured pose at the beginning, robot base frame.
-        goal: (4, 4) pose wanted.
-        held: gripper opening that is commanded now.
-        gripper: opening wanted at the goal.
-        speed, angular_speed: peak [m/s, rad/s].
-        pause: at the end [s].
+        start: (4, 4) measured start pose, robot base frame.
+        goal: (4, 4) goal pose.
+        held: currently commanded gripper opening.
+        gripper: gripper opening at the goal.
+        speed, angular_speed: peak speeds [m/s, rad/s].
+        pause: pause at the end [s].
 
     Attributes:
         outcome: None until the end.
@@ -60,13 +60,13 @@ class PlayedMotion:
         self.outcome: Outcome | None = None
 
     def step(self, reading: ArmReading, sent: Target, dt: float) -> Target:
-        """Returns the next target (10,), given the last sent one. Sets `outcome` at the end."""
+        """Returns the next target (10,) from the last sent one. Sets `outcome` at the end."""
         self._elapsed += dt
         self._seen = [each for each in self._seen if self._elapsed - each[0] <= STILL_TIME + 1e-9]
         self._seen.append((self._elapsed, reading))
         if self._arrived is None:
             self._arrived = self._judge_move(reading, sent)
-            # As `KeyframeDriver`: a hand that is sent away closes or opens on its way, one that stays does that alone.
+            # As in `KeyframeDriver`: the gripper acts during a motion, or alone without one.
             self._grips = self._arrived is Outcome.REACHED and abs(self.gripper - self.held) > 0.1
             self._left = STILL_TIME if self._grips else self.pause
         else:
@@ -91,7 +91,7 @@ class PlayedMotion:
         return held
 
     def _judge_move(self, reading: ArmReading, sent: Target) -> Outcome | None:
-        """Returns how the motion has ended; None while it goes on."""
+        """Returns the outcome of the motion; None before its end."""
         limits = DEFAULT_MOTION
         far, turned = pose_error(reading.tcp_in_base, self.goal)
         near = far < limits.reached_position and turned < limits.reached_rotation

@@ -1,4 +1,4 @@
-"""Options and mailboxes of the twin's process, free of the simulator."""
+"""Options and mailboxes of the twin process. Does not import the simulator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ TWIN = "lerobot_env_adamanip.sim.twin.backend:serve_twin"
 FRONT_FRAMES = "front"
 """Mailbox of the front camera's `Frame`s."""
 SUCCESS_BOX = "success"
-"""Mailbox of a boolean: whether the episode's task is done."""
+"""Mailbox of a boolean: whether the task is done."""
 for each in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
     message(each)
 
@@ -21,14 +21,14 @@ for each in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
 @message
 @dataclass(frozen=True)
 class TwinOptions:
-    """Options of the twin's process.
+    """Options of the twin process.
 
     Attributes:
-        environment: the scenes.
-        seed: of the first episode.
-        image_size: side of colour and depth [px].
-        depth_source: ``render``, or ``raycast``, where colours are missing.
-        lockstep: whether time passes by steps alone; else ticks follow the clock of the machine.
+        environment: options of the scenes.
+        seed: seed of the first episode.
+        image_size: side length of colour and depth [px].
+        depth_source: ``render``, or ``raycast`` without colours.
+        lockstep: whether only steps advance time; else ticks follow the machine's clock.
     """
 
     environment: EnvironmentOptions
@@ -39,5 +39,5 @@ class TwinOptions:
 
 
 def frame_capacity(size: int) -> int:
-    """Returns the bytes of a mailbox for square frames of so many pixels along a side: 3 of colour, 2 of depth each."""
+    """Returns the size of a mailbox for square frames [bytes]. A pixel has 3 bytes of colour and 2 of depth."""
     return 5 * size * size + 1024

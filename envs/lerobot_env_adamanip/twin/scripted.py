@@ -1,4 +1,4 @@
-"""A teleoperator without a person: plays the adaptive expert by the twin's annotations and the arm's readings."""
+"""Scripted teleoperator: plays the adaptive expert from the twin's annotations and the arm's readings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from lerobot_env_adamanip.twin.played_motion import PlayedMotion
 
 
 class AdamanipScripted(TcpTeleop):
-    """Streams an expert's key frames to the robot, each judged by readings alone: nothing hidden reaches it."""
+    """Streams an expert's key frames to the robot. It uses only readings to judge them, no hidden values."""
 
     config_class = AdamanipScriptedConfig
     name = "adamanip_scripted"
@@ -33,7 +33,7 @@ class AdamanipScripted(TcpTeleop):
         self._motion: PlayedMotion | None = None
         self._idle = 0.0
         self.key_frames = 0
-        """Key frames played in this episode."""
+        """Number of key frames played in this episode."""
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
         if new_episode:

@@ -1,4 +1,4 @@
-"""The twin's camera: asks the twin's process for pictures while they are read."""
+"""Camera of the twin: requests pictures from the twin process while they are read."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10
-"""Default rate in real time."""
+"""Default rate in real time [Hz]."""
 WANTED_FOR = 1.0
-"""After so long without a reader the camera takes no more pictures [s]."""
+"""Time without a read after which the camera stops taking pictures [s]."""
 LOOK_TIME = 120.0
-"""Longest time for a picture [s]: the first one compiles shaders."""
+"""Time limit for a picture [s]. The first one compiles shaders."""
 
 
 class AdamanipTwin(ThreadedCamera):
     """The front camera of the twin.
 
-    In real time its thread takes pictures at ``fps``. In lockstep a picture is taken where it is read,
-    once per step, so that equal steps give equal data.
+    In real time its thread takes pictures at ``fps``. In lockstep each read takes a picture, at most one per step,
+    so that equal steps give equal data.
     """
 
     config_class = AdamanipTwinConfig
@@ -39,10 +39,10 @@ class AdamanipTwin(ThreadedCamera):
         self._seen_at: float | None = None
 
     def attach(self, client: ArmClient, *, size: int, lockstep: bool) -> None:
-        """Called by the robot before `connect`. Raises `ConfigurationError` for another size than the twin's."""
+        """Attaches the camera to the twin process, before `connect`. Raises `ConfigurationError` for another size."""
         if any(given not in (None, size) for given in (self.config.width, self.config.height)):
             raise ConfigurationError(
-                "The twin's camera has another size than the twin.",
+                "The camera's size differs from the twin's image size.",
                 got=f"{self.config.width} x {self.config.height} px",
                 allowed=f"{size} x {size}, or none",
                 hint="--robot.image_size=256",
@@ -52,7 +52,7 @@ class AdamanipTwin(ThreadedCamera):
         self.fps = self.config.fps or CAMERA_HZ
 
     def wake(self, *, new: bool = False) -> None:
-        """Notes that a frame is wanted; in lockstep takes it, if there is none of this step or a new one is wanted."""
+        """Requests a frame. In lockstep, takes one if this step has none or ``new`` is set."""
         self._wanted = time.perf_counter()
         if self._lockstep and self.is_connected:
             assert self._client is not None
@@ -63,17 +63,17 @@ class AdamanipTwin(ThreadedCamera):
                 self._seen_at = now
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
-        """As of every camera; in lockstep, the frame of this step."""
+        """Returns the last frame; in lockstep, the frame of this step."""
         return super().latest_frame(float("inf") if self._lockstep and self.is_connected else max_age)
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
-        """As of every camera; in lockstep it is taken now."""
+        """Returns a frame exposed after ``stamp``; in lockstep, a new one."""
         return super().frame_after(float("-inf") if self._lockstep and self.is_connected else stamp, timeout)
 
     def _open(self) -> None:
         if self._client is None or not self._client.is_connected:
             raise RobotError(
-                "The twin's camera has no twin to look at.",
+                "The twin's camera has no twin.",
                 got="a camera without its robot",
                 allowed="a camera of --robot.type=adamanip_franka_sim",
                 hint="lerobot-find-cameras does not show it",
@@ -90,7 +90,7 @@ class AdamanipTwin(ThreadedCamera):
         return self._look()
 
     def _look(self) -> Frame:
-        """Takes a picture; its stamp in lockstep is that of the last reading, which it shows."""
+        """Takes a picture. In lockstep its stamp is that of the last reading."""
         assert self._client is not None
         self._client.request("look", time_limit=LOOK_TIME)
         found = self._client.frame(FRONT_FRAMES)

@@ -1,1 +1,1 @@
-"""A simulated twin of the arm: this project's scenes behind the backend that drives a real one, in its own process."""
+"""Simulated twin of the arm: this project's scenes as a backend of the arm process."""

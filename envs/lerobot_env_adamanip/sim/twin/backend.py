@@ -1,4 +1,4 @@
-"""The simulated arm behind the protocol of a real one, in one of this project's scenes."""
+"""Backend with a simulated arm in one of this project's scenes. It has the protocol of a real arm."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOpt
 TICK = 0.02
 """One control tick of the simulation [s]."""
 MOST_TICKS = 10
-"""Most late ticks that are made up for at once; beyond that, time is lost."""
+"""Maximum late ticks to catch up at once. Further time is lost."""
 MOVING = 0.01
-"""Fastest joint of an arm at rest [rad/s]."""
+"""Maximum joint speed of an arm at rest [rad/s]."""
 
 
 class SapienBackend:
@@ -32,7 +32,7 @@ class SapienBackend:
 
     Args:
         options: see `TwinOptions`.
-        boxes: mailboxes of frames and success; missing ones are not filled.
+        boxes: mailboxes for frames and success. Missing ones are not filled.
     """
 
     period = TICK
@@ -47,15 +47,15 @@ class SapienBackend:
         self._success, self._frames, self._seed = False, 0, options.seed
         self._connected = self._streaming = False
 
-    # Life ------------------------------------------------------------------------------------------------------------
+    # Connection ------------------------------------------------------------------------------------------------------
 
     def connect(self) -> None:
-        """Starts the simulator with the scene of the first seed; raises what `KeyframeEnv.reset` does."""
+        """Starts the simulator with the scene of the first seed. Raises the errors of `KeyframeEnv.reset`."""
         self._connected = True
         self.reset({"seed": self._options.seed})
 
     def close(self) -> None:
-        """Ends the simulator; idempotent."""
+        """Ends the simulator. Idempotent."""
         if self._connected:
             self._connected = False
             self._abort()
@@ -64,7 +64,7 @@ class SapienBackend:
     # Time ------------------------------------------------------------------------------------------------------------
 
     def tick(self) -> None:
-        """Advances by a tick, or in real time by the ticks since the last call."""
+        """Advances one tick. In real time, advances all ticks since the last call."""
         now = time.perf_counter()
         due = 1 if self._options.lockstep else round((now - self._ticked) / TICK)
         for _ in range(max(1, min(due, MOST_TICKS))):
@@ -83,11 +83,11 @@ class SapienBackend:
             done = scene.task_simulation.succeeded()
         if done and not self._success:
             self._publish_success(True)
-        # A motion ends in the slice after its last tick: time stands still for it, and the arm's clock must not.
+        # A motion ends in the slice after its last tick. That slice has no tick, but the arm's clock must advance.
         self._time += max(1, scene.ticks - before) * TICK
 
     def read(self) -> ArmReading:
-        """Returns the state at the end of the latest tick; the stamp is this machine's time."""
+        """Returns the state after the latest tick. The stamp is this machine's time."""
         scene = self._scene
         felt, joints = scene.driver.measured(), scene.task_simulation.arm_state()
         moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
@@ -106,13 +106,13 @@ class SapienBackend:
     # Motion ----------------------------------------------------------------------------------------------------------
 
     def stream(self, target: ArmTarget) -> None:
-        """Replaces the target of the stream; a key frame under way is given up."""
+        """Replaces the target of the stream. Aborts a running key frame."""
         self._abort()
         self._outcome, self._streaming = None, True
         self._scene.driver.follow_target(target.pose)
 
     def begin_keyframe(self, target: ArmTarget) -> None:
-        """Begins a key frame from where the arm is."""
+        """Starts a key frame at the arm's current pose."""
         self._abort()
         if self._streaming:
             self._scene.driver.end_stream()
@@ -122,13 +122,13 @@ class SapienBackend:
         self._scene.after_tick = self._motion.pause
 
     def stop(self) -> None:
-        """Decelerates; the arm holds where it comes to rest."""
+        """Decelerates. The arm then holds its position."""
         self._abort()
         self._streaming = True
         self._scene.driver.hold()
 
     def recover(self) -> None:
-        """There is nothing to clear."""
+        """Does nothing: a simulated arm has no faults."""
 
     def _abort(self) -> None:
         motion, self._motion, self._scene.after_tick = self._motion, None, None
@@ -139,7 +139,7 @@ class SapienBackend:
     # Requests --------------------------------------------------------------------------------------------------------
 
     def reset(self, values: dict[str, Any]) -> dict[str, Any]:
-        """Resets to the scene of ``seed`` and returns `describe`; raises ValueError for a wrong seed."""
+        """Resets to the scene of ``seed`` and returns `describe`. Raises ValueError for an invalid seed."""
         seed = values.get("seed")
         if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
             raise ValueError(f"seed is {seed!r}, not a whole number, 0 ... 2147483647")
@@ -148,13 +148,13 @@ class SapienBackend:
         self._eye, self._outcome, self._streaming = None, None, False
         self._seed = seed
         self._publish_success(False)
-        if self._frames:  # pictures were wanted, and will be again
+        if self._frames:  # pictures were requested, and will be again
             self._camera().get_ready()
         self._ticked = time.perf_counter()
         return self.describe()
 
     def describe(self) -> dict[str, Any]:
-        """Returns what a robot may know of the episode: nothing hidden."""
+        """Returns the episode's public description, without hidden values."""
         scene = self._scene
         return {
             "seed": self._seed,
@@ -167,11 +167,11 @@ class SapienBackend:
         }
 
     def look(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Takes a picture into the mailbox of frames; returns its number."""
+        """Puts a picture into the mailbox of frames and returns its number."""
         if FRONT_FRAMES not in self._boxes:
             raise RobotError("The twin was started without a camera.")
         camera = self._camera()
-        camera.get_ready()  # a picture is as old as its making takes: the first one of a scene would be called frozen
+        camera.get_ready()  # the slow first picture of a scene would count as stale
         taken = time.perf_counter()
         color, depth = camera.take()
         self._frames += 1
@@ -184,7 +184,7 @@ class SapienBackend:
         return self._eye
 
     def episode(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Returns the state of the episode with its hidden values: for logs, never for features."""
+        """Returns the episode's state with hidden values. For logs only, never for features."""
         scene = self._scene
         return {
             **scene.episode_record(),
@@ -200,7 +200,7 @@ class SapienBackend:
 
 
 def serve_twin(options: TwinOptions, boxes: Mapping[str, Mailbox]) -> Served:
-    """Returns the simulated arm, see `BackendFactory`."""
+    """Returns the backend of the simulated arm, see `BackendFactory`."""
     backend = SapienBackend(options, boxes)
     handlers = {RESET: backend.reset, "look": backend.look, "episode": backend.episode}
     return Served(backend, handlers, backend.describe)

@@ -1,4 +1,4 @@
-"""Colour and depth of one moment, rendered together, or by ray casting where nothing renders."""
+"""Camera of the twin: renders colour and depth together, or ray-casts without a renderer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from lerobot_env_adamanip.sim.ray_camera import RaycastSensor, shaded_picture
 from lerobot_env_adamanip.sim.views import Views
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
-"""(H, W, 3) RGB and (H, W) depth [mm], 0 where nothing was seen."""
+"""Colour (H, W, 3) RGB and depth (H, W) [mm], 0 for invalid pixels."""
 FARTHEST = 4000
 """Range of the depth camera [mm]."""
 _ROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
@@ -27,10 +27,10 @@ _logger = logging.getLogger(__name__)
 
 
 class _DepthScene(PictureScene):
-    """One render gives both: the depth belongs to the picture that was just taken."""
+    """Scene that returns colour and depth of one render."""
 
     def take_pair(self) -> Pair:
-        """Returns picture and depth of this moment."""
+        """Returns the current colour and depth."""
         image = self.take()
         told = self._camera.get_obs(rgb=False, depth=True, position=False, segmentation=False)
         depth = told["depth"][0].cpu().numpy()[..., 0]
@@ -41,11 +41,11 @@ class TwinEye:
     """The front camera of one episode.
 
     Args:
-        views: of the episode.
-        robot: SAPIEN's articulation of the arm.
-        urdf: its description.
-        size: of the pictures [px].
-        source: ``render``, or ``raycast`` for shapes without colours; the latter where nothing renders.
+        views: views of the episode.
+        robot: SAPIEN articulation of the arm.
+        urdf: URDF of the arm.
+        size: side length of the pictures [px].
+        source: ``render``, or ``raycast`` for shapes without colours. Without a renderer, always ``raycast``.
         render_backend: see `lerobot_adamanip.episode.options.RENDER_BACKENDS`.
     """
 
@@ -60,13 +60,13 @@ class TwinEye:
         self._ready = False
 
     def get_ready(self) -> None:
-        """Takes the first picture, which takes ten times as long as later ones; then does nothing."""
+        """Takes the first picture, which takes ten times as long as later ones. Later calls do nothing."""
         if not self._ready:
             self.take()
             self._ready = True
 
     def take(self) -> Pair:
-        """Returns colour and depth of this moment."""
+        """Returns the current colour and depth."""
         if self.source == "render" and (rendered := self._rendered()) is not None:
             return rendered.take_pair()
         if self._rays is None:
@@ -77,11 +77,11 @@ class TwinEye:
         return shaded_picture(self._config, self._views.bodies()), depth.reshape(self._size, self._size)
 
     def parameters(self) -> dict[str, Any]:
-        """Returns intrinsics and pose in the base frame, see `camera_parameters`; nothing is rendered."""
+        """Returns intrinsics and pose in the base frame, see `camera_parameters`. Renders nothing."""
         return camera_parameters(pinhole(self._config))
 
     def _rendered(self) -> _DepthScene | None:
-        """Returns the scene to render, made at the first picture; None where nothing renders."""
+        """Returns the scene to render, created at the first picture; None without a renderer."""
         if self._scene is None:
             visible, ground_z = self._views.objects.visible, self._views.objects.ground_z
             try:
@@ -95,5 +95,5 @@ class TwinEye:
                 )
             except SimulatorError as error:
                 self.source = "raycast"
-                _logger.warning("The twin's camera sees by rays, without colours: %s", str(error).split("\n")[0])
+                _logger.warning("The twin's camera uses ray casting, without colours: %s", str(error).split("\n")[0])
         return self._scene

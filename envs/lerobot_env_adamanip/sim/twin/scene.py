@@ -1,4 +1,4 @@
-"""A key-frame environment whose arm also streams, one control tick at a time."""
+"""Key-frame environment whose arm can also follow a stream, one control tick at a time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver
 
 
 class TwinScene(KeyframeEnv):
-    """The scenes of `KeyframeEnv`, by the same code; its arm streams in addition.
+    """`KeyframeEnv` with an arm that can also follow a stream. The scenes are the same.
 
     Attributes:
         after_tick: called after every control tick of a key frame; `SteppedMotion.pause` slices key frames there.
@@ -27,20 +27,20 @@ class TwinScene(KeyframeEnv):
     after_tick: Callable[[], None] | None = None
     ticks = 0
     driver: StreamDriver
-    """The arm of the present episode."""
+    """Driver of the arm in the current episode."""
 
     @property
     def task_simulation(self) -> AdaManipTask:
-        """The running task."""
+        """Running task."""
         return self._running()
 
     @property
     def episode_success(self) -> bool:
-        """Whether a key frame of this episode has ended with the task done."""
+        """Whether the task was done at the end of a key frame of this episode."""
         return self._episode().success
 
     def eye(self, size: int, source: str) -> TwinEye:
-        """Returns the episode's front camera; see `TwinEye`."""
+        """Returns the episode's front camera, see `TwinEye`."""
         task = self._running()
         robot, urdf = task.agent.robot._objs[0], Path(task.agent.urdf_path)
         return TwinEye(task.views, robot, urdf, size=size, source=source, render_backend=self.options.render_backend)
@@ -55,8 +55,8 @@ class TwinScene(KeyframeEnv):
             if self.after_tick is not None:
                 self.after_tick()
 
-        # The task made a driver of its own for this episode and has not moved it yet: ours begins where that does, and
-        # executes key frames by the same code.
+        # The task has created its own driver for this episode but has not moved it. Ours starts in the same state and
+        # executes key frames with the same code.
         sim._arm = self.driver = StreamDriver(
             sim._kinematics,
             sim.arm_state,

@@ -1,4 +1,4 @@
-"""A blocking motion in slices of one tick."""
+"""Runs a blocking motion in slices of one tick."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Callable
 
 
 class MotionAbortedError(Exception):
-    """Raised within a motion that is given up, where it would have ticked next."""
+    """Raised in an aborted motion in place of its next tick."""
 
 
 class SteppedMotion:
-    """Runs a blocking motion in slices of a tick, on a thread that is awake only while `step` waits for it.
+    """Runs a blocking motion in slices of one tick, in a thread that runs only while `step` waits for it.
 
-    Two threads never run at once: nothing has to be locked, and ticks are the same as without slices.
+    The two threads never run at once. So no locks are needed, and the ticks are the same as without slices.
 
     Args:
-        run: the motion, e.g. `KeyframeDriver.execute`; calls `pause` after each of its ticks.
+        run: motion, e.g. `KeyframeDriver.execute`, that calls `pause` after each tick.
     """
 
     def __init__(self, run: Callable[[], object]) -> None:
@@ -28,7 +28,7 @@ class SteppedMotion:
         self._thread.start()
 
     def step(self) -> bool:
-        """Runs up to the end of the next tick, or of the motion; True once it has ended. Raises what the motion did."""
+        """Runs until the end of the next tick. Returns whether the motion has ended. Raises the motion's exception."""
         if not self.finished:
             self._go.release()
             self._paused.acquire()
@@ -38,7 +38,7 @@ class SteppedMotion:
         return self.finished
 
     def abort(self) -> None:
-        """Ends the motion where it is; it ticks no more. Idempotent."""
+        """Ends the motion without a further tick. Idempotent."""
         self._aborted = True
         while not self.finished:
             self._go.release()
@@ -47,7 +47,7 @@ class SteppedMotion:
         self._error = None
 
     def pause(self) -> None:
-        """Called by the motion after a tick. Raises `MotionAbortedError` where it is to end."""
+        """Ends a slice. The motion calls it after each tick. Raises `MotionAbortedError` after `abort`."""
         if threading.current_thread() is not self._thread:
             return
         self._paused.release()
@@ -62,7 +62,7 @@ class SteppedMotion:
                 self._run()
         except MotionAbortedError:
             pass
-        except BaseException as error:  # handed to who steps
+        except BaseException as error:  # raised again in `step`
             self._error = error
         finally:
             self.finished = True

@@ -1,4 +1,4 @@
-"""Driver that follows a stream of targets, tick by tick; key frames stay as they are."""
+"""Driver that follows a stream of targets tick by tick. Key frames are unchanged."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from lerobot_env_adamanip.sim.kinematics import pose_error
 Array = NDArray[np.float64]
 
 SETTLING = 0.06
-"""Time constant of the approach to the target [s]: smooths targets that come at 30 Hz."""
+"""Time constant of the approach to the target [s]. It smooths targets that arrive at 30 Hz."""
 BRAKING = 0.8
-"""Share of the acceleration used for braking: ticks are not infinitely short."""
+"""Fraction of the acceleration used for braking, since ticks have a finite length."""
 FOLLOWS = 0.2
-"""Least share of its way that the commanded pose covers, unless a joint is at its end."""
+"""Minimum fraction of its path that the commanded pose covers, unless a joint is at its limit."""
 CLOSES = 5e-3
-"""Least fall of the finger target that closes the hand [m]."""
+"""Minimum decrease of the finger target that closes the hand [m]."""
 
 
 class StreamDriver(KeyframeDriver):
     """A `KeyframeDriver` that also follows a stream of targets, one control tick at a time.
 
-    The commanded pose follows the target within the speeds and accelerations of a key frame. After a stall it only
-    moves where the tool's lag does not grow: a blocked pull is held at some 30 N, until the target moves back.
+    The commanded pose follows the target within the speed and acceleration limits of a key frame. After a stall it only
+    moves where the tool's lag does not grow. So a blocked pull stays at about 30 N until the target moves back.
     """
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
@@ -47,15 +47,15 @@ class StreamDriver(KeyframeDriver):
         self._closing_left = self._stuck = 0
         self._gripped_at: Array | None = None
         self.stalled = False
-        """Whether the tool leans against something that the target lies behind."""
+        """Whether the tool presses against an obstacle in front of the target."""
         self.unreachable = False
-        """Whether the arm cannot follow the target any farther."""
+        """Whether the arm cannot move any closer to the target."""
 
     def follow_target(self, action: NDArray[np.float32]) -> None:
-        """Makes a (10,) action of the contract the target; it is approached by `stream_tick`.
+        """Sets the target to an action (10,). `stream_tick` then approaches it.
 
         Raises:
-            ConfigurationError: the action has the wrong shape, or is not finite.
+            ConfigurationError: the action has the wrong shape or is not finite.
         """
         goal, gripper = self._checked(action)
         if self._slot is None:
@@ -68,11 +68,11 @@ class StreamDriver(KeyframeDriver):
         self._holding = False
 
     def hold(self) -> None:
-        """Stops following: the arm decelerates and stays; the fingers go on."""
+        """Stops following: the arm decelerates and stays. The fingers continue."""
         self._holding = True
 
     def stream_tick(self) -> None:
-        """Advances one control tick towards the target; without one the arm stays."""
+        """Advances one control tick towards the target. Without a target the arm stays."""
         before = self.kinematics.tcp_in_base(self._target)
         goal = before if self._slot is None or self._holding else self._slot[0]
         self._grip(goal, before)
@@ -86,7 +86,7 @@ class StreamDriver(KeyframeDriver):
         self.feedback = self._feedback(None)
 
     def end_stream(self) -> None:
-        """Drops the target: the next one, or a key frame, begins from where the arm is."""
+        """Drops the target. The next target or key frame starts at the arm's current pose."""
         self._leans = self.stalled and bool(np.abs(self._read().qvel).max() < LEANING_SPEED)
         self._slot, self._gripped_at, self._closing_left, self._stuck = None, None, 0, 0
         self._holding = False
@@ -94,7 +94,7 @@ class StreamDriver(KeyframeDriver):
         self.closing = self.moving_closed = False
 
     def break_off(self) -> None:
-        """Decelerates from the present speed, after a key frame that was aborted."""
+        """Decelerates from the current speed after an aborted key frame."""
         state = self._read()
         self.end_stream()
         self._leans = False
@@ -104,22 +104,22 @@ class StreamDriver(KeyframeDriver):
 
     @property
     def stream_outcome(self) -> Outcome | None:
-        """STALLED, UNREACHABLE or None."""
+        """Returns STALLED, UNREACHABLE or None."""
         return Outcome.STALLED if self.stalled else Outcome.UNREACHABLE if self.unreachable else None
 
     def measured(self) -> Feedback:
-        """Returns measured pose and gripper, without an outcome."""
+        """Returns the measured pose and gripper, without an outcome."""
         return self._feedback(None)
 
     def _begin_stream(self) -> None:
-        if self._leans:  # a key frame that has stalled ends under strain
+        if self._leans:  # a stalled key frame ends under strain
             self._target, self._leans = self._read().qpos.copy(), False
         self._strained = 0
         if self._finger_target < FINGER_HALF:
             self._gripped_at = self.kinematics.tcp_in_base(self._target)
 
     def _grip(self, goal: Array, commanded: Array) -> None:
-        """Sets whether the hand only closes, or moves closed; see `MechanismDriver`."""
+        """Sets whether the hand only closes or moves while closed; see `MechanismDriver`."""
         limits, closed = self.limits, self._finger_target < FINGER_HALF
         if self._closing_left:
             self.closing = _near(goal, commanded, limits.reached_position, limits.reached_rotation)
@@ -134,7 +134,7 @@ class StreamDriver(KeyframeDriver):
         self.moving_closed = gripped is not None and not _near(goal, gripped, MOVED_POSITION, MOVED_ROTATION)
 
     def _next(self, commanded: Array, goal: Array) -> tuple[Array, Array]:
-        """Returns the commanded pose (4, 4) one tick on, and its velocity (6,): [m/s, base frame], [rad/s, tool's]."""
+        """Returns the next commanded pose (4, 4) and its velocity (6,): [m/s, base frame], [rad/s, tool frame]."""
         limits, left = self.limits, pose_error(commanded, goal)
         left[:3] = goal[:3, 3] - commanded[:3, 3]
         velocity = np.empty(6)
@@ -159,7 +159,7 @@ class StreamDriver(KeyframeDriver):
         return bool(max(far[0], turned[0]) > max(far[1], turned[1]))
 
     def _posture(self, waypoint: Array, commanded: Array) -> Array:
-        """Returns the joint positions (7,) [rad] of a commanded pose; the present ones if there are none near it."""
+        """Returns joint positions (7,) [rad] of a commanded pose, or the current ones without a nearby solution."""
         solution = self.kinematics.solve(waypoint, self._target, iterations=15, tolerance=PATH_TOLERANCE)
         if not solution.within(5e-3, 0.03):
             solution = self.kinematics.solve(waypoint, self._target, iterations=80)
@@ -178,7 +178,7 @@ def _near(goal: Array, other: Array, position: float, rotation: float) -> bool:
 
 
 def _braking_speed(distance: float, deceleration: float) -> float:
-    """Returns the speed that comes to rest within ``distance``: constant deceleration, gentle at the end."""
+    """Returns the speed that comes to rest within ``distance``, with constant deceleration and a gentle end."""
     gentle = deceleration * SETTLING**2
     if distance < gentle:
         return distance / SETTLING
