@@ -16,7 +16,7 @@ mkdir -p "$out"
 if timeout 180 "$bin/python" -m lerobot_env_adamanip.sim.render_probe >/dev/null 2>&1; then
     "$bin/adamanip" objects --category safe --objects 0:36 --out "$out/safes.png"
 else
-    echo "none: no Vulkan device to render with (make pictures sees to one)"
+    echo "none: no Vulkan device to render with (make pictures sets one up)"
 fi
 
 say "2/5  Adaptive demonstrations: pull, feel that it is locked, turn the knob, pull again"

@@ -20,6 +20,6 @@ as_root() {
 announce() { say "installing system-wide, with apt-get as root: $* (NO_SYSTEM=1 make ... refrains)" >&2; }
 
 # A broken third-party package source must not stop the setup, so a failed update is only reported.
-update() { as_root apt-get update -qq >&2 || say "apt-get update reported errors; going on with what it has" >&2; }
+update() { as_root apt-get update -qq >&2 || say "apt-get update reported errors; continuing with the old package lists" >&2; }
 
 install() { as_root apt-get install -y -qq --no-install-recommends "$@" >&2; }

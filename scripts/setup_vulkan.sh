@@ -59,7 +59,7 @@ advise() {
             echo "    apt-get update && apt-get install -y software-properties-common && add-apt-repository -y ppa:kisak/kisak-mesa" >&2
             echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers" >&2 ;;
         *)
-            echo "    # Mesa has to be >= $MIN_MESA" >&2
+            echo "    # Mesa must be >= $MIN_MESA" >&2
             echo "    apt-get update && apt-get install -y ${LIBRARIES[*]} mesa-vulkan-drivers" >&2 ;;
     esac
     echo "  with an NVIDIA GPU: the driver's Vulkan part (libnvidia-gl-<version>; in a container NVIDIA_DRIVER_CAPABILITIES=all)" >&2
@@ -68,7 +68,7 @@ advise() {
 }
 
 install_mesa() {
-    announce "mesa-vulkan-drivers ${LIBRARIES[*]}, and what they depend on"
+    announce "mesa-vulkan-drivers ${LIBRARIES[*]}, and their dependencies"
     update
     if [[ "$(release ID) $(release VERSION_ID)" == "debian 12" ]]; then
         if ! has_backports; then

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Runs the tests that need no simulator against another LeRobot: a release (`0.6.1`, `release` for the newest), a
 # branch, tag or commit of its repository (`main`), or a checkout (a folder). The environment and report.md go to
-# outputs/lerobot. It reuses packages of .venv whose versions that LeRobot accepts, and installs the others.
+# outputs/lerobot. It reuses packages of .venv whose versions this LeRobot accepts, and installs the others.
 #   bash scripts/test_lerobot.sh main tests/policies
 set -euo pipefail
 cd "$(dirname "${BASH_SOURCE[0]}")/.."

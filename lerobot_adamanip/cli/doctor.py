@@ -45,4 +45,4 @@ def print_advice(checks: list[Check], ok: bool) -> None:
     for check in failed:
         print(f"\n{check.name}: {check.advice}")
     pictures = "; this machine renders no pictures, see above" if "SAPIEN renders" in [c.name for c in failed] else ""
-    print(f"\neverything required is there{pictures}" if ok else "\nrequired checks failed: see above")
+    print(f"\nall required checks passed{pictures}" if ok else "\nrequired checks failed: see above")

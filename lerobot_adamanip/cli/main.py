@@ -38,8 +38,8 @@ COMMANDS = {
     "render": Entry("render:Render", "add pictures to a dataset that was collected without them"),
     "check": Entry("check:Check", "check a dataset, and repair it after a crash"),
     "repair": Entry("check:Repair", "repair a dataset or a recording after a crash"),
-    "keyframes": Entry("keyframes:Keyframes", "convert recordings of a robot to demonstrations, alone or in a mix"),
-    "stats": Entry("stats:Stats", "count what is in a dataset: episodes, tries, lengths, hidden values"),
+    "keyframes": Entry("keyframes:Keyframes", "convert robot recordings to demonstrations"),
+    "stats": Entry("stats:Stats", "count episodes, tries, lengths and hidden values of a dataset"),
     "merge": Entry("merge:Merge", "merge datasets into a new one"),
     "filter": Entry("filter:Filter", "write a dataset with the episodes that fulfil conditions"),
     "split": Entry("split:Split", "split a dataset into several, by shares or by values"),
@@ -47,9 +47,9 @@ COMMANDS = {
     "push": Entry("push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
     "objects": Entry("objects.command:Objects", "draw a contact sheet of the objects of a category"),
     "annotate": Entry("annotate.command:Annotate", "annotate grasps and joints of external assets in the browser"),
-    "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board that the arm shows it"),
+    "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board and the arm"),
     "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
-    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods side by side, beside the paper's table"),
+    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
     "bench": Entry("bench:Bench", "measure the speed of collection, simulation, observation, training and action"),
 }
 

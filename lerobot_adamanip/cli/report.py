@@ -32,7 +32,7 @@ class Report:
     """
 
     logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
-    """Episode logs."""
+    """Episode logs to read."""
 
     label: tuple[str, ...] = ()
     """Names of the logs, in their order. Default: file names."""

@@ -20,7 +20,7 @@ WIDE = 0.95
 """Opening above which the fingers need no initial open command."""
 READ_PERIOD = 0.05
 CONNECT_TIME, CLOSE_TIME = 10.0, 0.5
-"""[s]"""
+"""Time between readings, and time limits of connect and close [s]."""
 
 
 class Hand(Protocol):

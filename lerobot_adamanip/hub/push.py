@@ -124,7 +124,7 @@ def _require_same_files(api: HfApi, staged: Staged, commit: str) -> None:
         wrong.append(f"tag {staged.version_tag}")
     if wrong:
         raise HubError(
-            "The Hub holds other files than were sent.",
+            "The Hub holds other files than the uploaded ones.",
             got=f"{staged.repo_id}: {listed(wrong)}",
             allowed="the same files with the same content",
             hint=RETRY,

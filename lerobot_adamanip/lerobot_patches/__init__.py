@@ -15,7 +15,7 @@ __all__ = ["NO_PATCHES", "PATCHES", "apply", "restore"]
 PATCHES = {
     "durable_recording": (
         "lerobot.datasets.lerobot_dataset",
-        "A kill loses every episode of a recording session, and the robot's calibrations are not kept beside it.",
+        "A kill loses every episode of a recording session, and recordings lack the robot's calibrations.",
     ),
     "ordered_depth": (
         "lerobot.datasets.lerobot_dataset",
@@ -23,7 +23,7 @@ PATCHES = {
     ),
     "episode_signals": (
         "lerobot.scripts.lerobot_record",
-        "The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.",
+        "The twin keeps its scene between episodes, no teleoperator ends one, and only the clutch anchors goals.",
     ),
 }
 """Patch -> LeRobot module that it changes, and the loss without it."""

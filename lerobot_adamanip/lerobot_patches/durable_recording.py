@@ -9,7 +9,7 @@ Changes:
 Why:
     LeRobot completes its Parquet files when a session ends.
 Without it:
-    A kill loses every episode of a recording session, and the robot's calibrations are not kept beside it.
+    A kill loses every episode of a recording session, and recordings lack the robot's calibrations.
 Upstream:
     https://github.com/huggingface/lerobot/issues/3522 and https://github.com/huggingface/lerobot/issues/2495;
     https://github.com/huggingface/lerobot/pull/2864 (open) flushes periodically, but not for `lerobot-record`.

@@ -7,7 +7,7 @@ Why:
     LeRobot does not tell a robot that an episode begins. The twin must reset its scene. A teleoperator must start from
     the robot's current pose, and the scripted one must end the episode.
 Without it:
-    The twin keeps its scene between episodes, no teleoperator ends one, and the clutch alone anchors goals.
+    The twin keeps its scene between episodes, no teleoperator ends one, and only the clutch anchors goals.
 Upstream:
     https://github.com/huggingface/lerobot/pull/4173 (closed) would let a caller pass the events; for robots none filed.
 Needed for:

@@ -49,7 +49,7 @@ def are_off(loss: str) -> bool:
     """Returns whether `NO_PATCHES` is set. If so, logs ``loss`` once."""
     off = os.environ.get(NO_PATCHES, "") not in ("", "0")
     if off:
-        warn_once(f"{NO_PATCHES} is set, so LeRobot stays as it is. {loss}")
+        warn_once(f"{NO_PATCHES} is set, so LeRobot stays unpatched. {loss}")
     return off
 
 

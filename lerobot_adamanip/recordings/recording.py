@@ -84,7 +84,7 @@ class DenseRecording:
 
     @cached_property
     def dataset(self) -> Any:
-        """LeRobot's, whole."""
+        """The complete recording as a LeRobotDataset."""
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
         return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")

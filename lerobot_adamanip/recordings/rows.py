@@ -104,7 +104,7 @@ def _seen(
             continue
         if colour is None:
             raise DatasetError(
-                "The recording has no pictures.", got="depth alone", allowed="colour too", hint="--no-images"
+                "The recording has no pictures.", got="only depth", allowed="colour and depth", hint="--no-images"
             )
         images.append(square_image(colour, options.image_size))
     found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}

@@ -18,7 +18,7 @@ from lerobot_adamanip.hardware.arm_process.server import ArmServer
 from lerobot_adamanip.util.errors import AdaManipError
 
 PR_SET_PDEATHSIG = 1
-"""Linux, `prctl(2)`."""
+"""Linux constant of `prctl(2)`."""
 
 
 def main(socket: int, memory: int, factory_name: str) -> int:

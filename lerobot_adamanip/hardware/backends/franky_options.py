@@ -61,7 +61,7 @@ class FrankyOptions:
     """Speed of the fingers [m/s]."""
 
     grasp_force: float = 30.0
-    """[N]."""
+    """Force of a grasp [N]."""
 
     @property
     def limits(self) -> FrankaLimits:

@@ -257,5 +257,5 @@ def _require_agreement(views: Sequence[View], rms: Array) -> None:
             "The solution does not fit the pictures.",
             got=f"rms {overall:.2f} px",
             allowed=f"at most {WORST_RMS:.0f} px",
-            hint="measure the printed squares; hold the board flat; rest at each pose; is the mounting right?",
+            hint="measure the printed squares; hold the board flat; rest at each pose; check the mounting",
         )

@@ -20,7 +20,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 MOVED, TURNED = 0.0005, 0.002
 """Maximum motion of the arm during a picture [m, rad]."""
 FRAME_TIMEOUT = 2.0
-"""[s]"""
+"""Maximum wait for a picture [s]."""
 
 
 def robot_from_file(path: Path) -> Any:
@@ -107,13 +107,13 @@ def take_views(
             np.linalg.norm(after[:3, 3] - before[:3, 3]) > MOVED
             or angle_between(after[:3, :3], before[:3, :3]) > TURNED
         ):
-            tell("the arm moved: not kept")
+            tell("the arm moved: picture not kept")
             continue
         assert frame.color is not None
         gray = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
         corners = len(folder.board.detect(gray)[0])
         if not corners:
-            tell("the board is not seen: not kept")
+            tell("the board is not seen: picture not kept")
             continue
         folder = folder.added(frame.color, after)
         tell(f"{len(folder.tcp_in_base)} pictures; {corners} corners in this one")

@@ -32,7 +32,7 @@ class AdamanipRealsenseConfig(CameraConfig):
     """Fixed exposure of the colour imager; automatic by default."""
 
     gain: int | None = None
-    """Likewise."""
+    """Fixed gain of the colour imager; automatic by default."""
 
     white_balance: int | None = None
-    """Likewise."""
+    """Fixed white balance of the colour imager; automatic by default."""

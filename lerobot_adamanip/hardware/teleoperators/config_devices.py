@@ -23,7 +23,7 @@ class TcpTeleopConfig(TeleoperatorConfig):
     """Speed at full deflection [m/s]. The robot's own limit also applies."""
 
     angular_speed: float = 0.4
-    """Likewise [rad/s]."""
+    """Angular speed at full deflection [rad/s]. The robot's own limit also applies."""
 
 
 @TeleoperatorConfig.register_subclass("adamanip_keyboard")

@@ -72,7 +72,7 @@ class TcpTeleop(Teleoperator):
             self._close()
 
     def send_feedback(self, feedback: dict[str, Any]) -> None:
-        """Takes none."""
+        """Does nothing: the devices have no feedback."""
 
     def get_action(self) -> dict[str, float]:
         """Returns the goal by name, see `schema.POSE_NAMES`.
