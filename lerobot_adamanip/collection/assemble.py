@@ -1,4 +1,4 @@
-"""Making a LeRobotDataset of episode files: built beside its final place, synced, and read back."""
+"""Assembly of episode files into a LeRobotDataset: written to a temporary folder, synced, and read back."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _PLAIN_COLUMNS = (
     "fingerprint",
 )  # fmt: skip
 MIN_EPISODES_PER_WORKER = 32
-"""To prepare: a worker process first imports LeRobot, which takes as long as ten episodes."""
+"""Episodes per additional worker process: importing LeRobot takes as long as preparing ten."""
 
 
 @dataclass(frozen=True)
@@ -37,8 +37,8 @@ class Contents:
     Attributes:
         manifest: manifest of the collection.
         shards: episode files, in order.
-        attempts: all of the collection.
-        repo_id: for its card.
+        attempts: all attempts of the collection.
+        repo_id: repository id in the dataset card.
     """
 
     manifest: Manifest
@@ -54,16 +54,16 @@ def assemble(
 
     Args:
         folder: output folder; must not exist.
-        name: of the folder in which the dataset will be finally.
-        contents: of the dataset.
-        progress: called with the episodes written, and all.
+        name: final name of the folder.
+        contents: contents of the dataset.
+        progress: called with written and total episodes.
         workers: processes that prepare episodes, if there are enough episodes.
 
     Returns:
         ``folder``.
 
     Raises:
-        DatasetError: there are no shards, or one is damaged, or the written dataset cannot be read back.
+        DatasetError: there are no shards, a shard is damaged, or the written dataset cannot be read back.
     """
     if not contents.shards:
         raise DatasetError(
@@ -110,7 +110,7 @@ def append_shards(
 
 
 def _appended(dataset: Any, shards: list[Path], workers: int) -> Iterator[tuple[dict[str, Any], int]]:
-    """Prepares and appends episodes; yields each one's record and number of rows."""
+    """Prepares and appends episodes; yields each record and row count."""
     items = [EpisodeFile(number, path) for number, path in enumerate(shards)]
     session = functools.partial(preparing_session, dataset.meta.features, dataset.meta.fps)
     workers = min(workers, len(items) // MIN_EPISODES_PER_WORKER)

@@ -1,4 +1,4 @@
-"""Collecting demonstrations: durable per episode, resumable, with the same data after any interruption."""
+"""Collection of demonstrations: durable per episode, resumable, with the same data after any interruption."""
 
 from __future__ import annotations
 
@@ -38,25 +38,25 @@ from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Listener = Callable[[str, int, int], None]
-"""Called with a stage (``record``, ``record safe`` for a category's share, ``assemble``), episodes done, and all."""
+"""Progress callback: stage (``record``, ``record safe`` for one category, ``assemble``), finished and all episodes."""
 _MIN_ROWS = 3
 """Minimum number of rows per episode."""
 
 
 @dataclass(frozen=True)
 class CollectOptions:
-    """How a collection is made; no option changes the data.
+    """Options of a collection that do not change its data.
 
     Attributes:
-        workers: processes with a simulator each; or actors of the cluster, 0 for one per CPU of it.
+        workers: processes with one simulator each, or actors of the cluster; 0 for one actor per CPU.
         worker_timeout: a worker without a heartbeat for this long is replaced; on a cluster, the limit per item [s].
         max_attempts: maximum number of seeds per episode.
         allow_missing: whether to make a dataset although some episodes were given up.
-        repo_id: for the dataset card; ``local/<folder name>`` by default.
+        repo_id: repository id in the dataset card; ``local/<folder name>`` by default.
         cluster: Ray cluster: ``HOST:PORT``, ``auto`` or ``local``; None for processes of this machine.
-        insecure_cluster: whether the cluster may go without a token.
-        part: of the episodes, to record it alone, without making a dataset; None for all.
-        adopt: roots of parts whose episodes are imported first.
+        insecure_cluster: whether to accept a cluster without a token.
+        part: record only this part, and make no dataset; None for all episodes.
+        adopt: root folders of parts to import first.
     """
 
     workers: int = 1
@@ -87,21 +87,21 @@ def collect(
     options: CollectOptions = CollectOptions(),
     listener: Listener = lambda stage, done, total: None,
 ) -> CollectSummary:
-    """Records the episodes that ``root`` still lacks and makes a LeRobotDataset of them all.
+    """Records the episodes that ``root`` lacks and makes a LeRobotDataset of all episodes.
 
-    Neither workers nor interruptions change the data. A complete dataset is left as it is, and may be read-only. Until
-    then episodes are kept in ``<root>.partial``; none is removed before the dataset is synced and read back.
+    Neither workers nor interruptions change the data. A complete dataset is not changed and may be read-only. Until
+    then episodes are kept in ``<root>.partial``, which is removed only after the dataset has been read back.
 
     Args:
         root: root folder of the dataset.
-        spec: of the collection.
+        spec: specification of the collection.
         factories: of environments and experts.
-        options: of this run.
-        listener: called with the progress.
+        options: options that do not change the data.
+        listener: progress callback.
 
     Raises:
-        DatasetError: ``root`` holds something else, another command is at work there, or episodes were given up.
-        WorkerError: a worker failed for good.
+        DatasetError: ``root`` has other content, another process collects there, or episodes were given up.
+        WorkerError: a worker failed permanently.
     """
     begin = time.monotonic()
     if options.cluster is not None:
@@ -130,7 +130,7 @@ def _collected(
     listener: Listener,
     begin: float,
 ) -> CollectSummary:
-    """Records the missing episodes; publishes the dataset, except for a part of a collection."""
+    """Records the missing episodes; publishes the dataset, unless only a part is recorded."""
     prepare_partial(paths, manifest)
     import_parts(paths, manifest, options.adopt)
     results = _record(job, paths, options, listener)
@@ -152,18 +152,18 @@ def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
 
 @contextlib.contextmanager
 def _claimed(paths: CollectionPaths, spec: CollectionSpec) -> Iterator[OutputFolder]:
-    """Locks the output folders; checks that the dataset can be put there, if it is missing."""
+    """Locks the output folders; checks that a missing dataset can be created there."""
     failed = lock_output(paths.failed) if spec.keep_failed else contextlib.nullcontext()
     with owned_output(paths.root, COLLECTING) as output, failed:
         if not paths.manifest.exists():
             output.require_free()
-            # The clouds alone, as episode files and as a dataset.
+            # Lower bound: the point clouds, as episode files and as a dataset.
             output.require_room(2 * _MIN_ROWS * len(spec.items()) * spec.environment.num_points * 3 * 4)
         yield output
 
 
 def _is_complete(output: OutputFolder, paths: CollectionPaths, manifest: Manifest) -> bool:
-    """Returns whether the dataset is there; reads it back before removing episode files that are left beside it."""
+    """Returns whether the dataset is complete; reads it back before removing leftover episode files."""
     if not paths.manifest.exists():
         return False
     require_finished(paths.root, manifest)
@@ -178,13 +178,13 @@ def _is_complete(output: OutputFolder, paths: CollectionPaths, manifest: Manifes
 
 
 def _record(job: RecordingJob, paths: CollectionPaths, options: CollectOptions, listener: Listener) -> Results:
-    """Records the missing episodes; returns the results of this run, items that a part has given up included."""
+    """Records the missing episodes; returns the results of this run, including items that a part gave up."""
     items = job.spec.items() if options.part is None else options.part.of(job.spec.items())
     missing = [item for item in items if read_record(paths.episodes / item.file_name) is None]
-    # An item that a part has given up would fail again: each attempt follows from its seed.
+    # Items that a part gave up would fail again, because every attempt follows from its seed.
     results = given_up(paths, missing, options.max_attempts) if options.adopt else []
     missing = [item for item in missing if item not in {result.item for result in results}]
-    # By category, because changing it costs a worker seconds. The dataset's order is another one.
+    # Sorted by category, because changing it costs a worker seconds. The dataset has another order.
     missing.sort(key=lambda item: job.spec.categories.index(category_of(item.object_id)))
     totals = Counter(category_of(item.object_id) for item in items)
     done = totals - Counter(category_of(item.object_id) for item in missing)
@@ -207,7 +207,7 @@ def _record(job: RecordingJob, paths: CollectionPaths, options: CollectOptions, 
 def _recorder(
     job: RecordingJob, paths: CollectionPaths, options: CollectOptions, items: int
 ) -> Iterator[Callable[[list[EpisodeSpec]], Iterator[jobs.JobResult[EpisodeSpec]]]]:
-    """Yields a function that records items: in processes, which also write the episodes, or on a cluster."""
+    """Yields a function that records items: in local processes, which also write, or on a cluster."""
     if options.cluster is None:
         writing = functools.partial(writing_session, job, paths)
         workers = min(options.workers, max(1, items))
@@ -250,7 +250,7 @@ def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
 def _publish(
     paths: CollectionPaths, manifest: Manifest, options: CollectOptions, progress: Callable[[int, int], None]
 ) -> None:
-    """Assembles the dataset, and that of failed episodes, and moves both into place; the kept one last."""
+    """Assembles the datasets of kept and failed episodes and moves both into place; the kept one last."""
     items = manifest.spec.items()
     shards = [path for item in items if (path := paths.episodes / item.file_name).exists()]
     records = [record for path in shards if (record := read_record(path)) is not None]
@@ -262,7 +262,7 @@ def _publish(
         contents = Contents(counted, failed, attempts, f"{repo_id}-failed")
         files.remove_tree(paths.building_failed)
         built = assemble(paths.building_failed, paths.failed.name, contents, progress, workers)
-        files.remove_tree(paths.failed)  # of this collection, as `prepare_partial` has checked
+        files.remove_tree(paths.failed)  # belongs to this collection, as `prepare_partial` has checked
         files.move_durably(built, paths.failed)
     files.remove_tree(paths.building)
     contents = Contents(counted, shards, attempts, repo_id)

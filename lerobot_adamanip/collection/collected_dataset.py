@@ -1,4 +1,4 @@
-"""Reading a collected dataset, to make its scenes again. It may come from anywhere, so every value is checked."""
+"""Reader of a collected dataset, for rebuilding its scenes. The dataset is untrusted, so every value is checked."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _TEXT = text(r"(?s).*", "text")
 
 @dataclass(frozen=True)
 class CollectedEpisode:
-    """An episode of T rows.
+    """A recorded episode with T rows.
 
     Attributes:
         columns: dataset column -> (T, ...) array, without images.
-        record: what describes it, see `JSON_COLUMNS` for parsed columns.
-        prefix: (n, 10) actions from the reset to its first row.
+        record: episode metadata, see `JSON_COLUMNS` for parsed columns.
+        prefix: (n, 10) actions between the reset and its first row.
     """
 
     columns: dict[str, NDArray[Any]]
@@ -58,22 +58,22 @@ class CollectedDataset:
         """Opens a dataset.
 
         Args:
-            root: its folder.
-            assets: folder of external assets, if it was recorded with any.
+            root: folder of the dataset.
+            assets: folder of external assets, if the dataset uses any.
 
         Raises:
-            DatasetError: it is missing, not whole, damaged, or of another kind.
+            DatasetError: it is missing, incomplete, damaged, or of another kind.
         """
         return cls(Source(root, load_check(root)), read_manifest(manifest_path(root), assets))
 
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
-        """One row per episode, as stored, without statistics."""
+        """One metadata row per episode, as stored, without statistics."""
         rows: list[dict[str, Any]] = episode_table(self.source.root).to_pylist()
         return rows
 
     def episode(self, number: int) -> CollectedEpisode:
-        """Reads an episode; raises `DatasetError` for values that cannot be."""
+        """Reads an episode; raises `DatasetError` for invalid values."""
         row = self.rows[number]
         try:
             table = self.source.rows(row)

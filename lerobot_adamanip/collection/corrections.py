@@ -1,8 +1,8 @@
-"""Corrections: a policy drives, and an expert labels every state with its own action.
+"""Corrections: a policy acts, and an expert labels every visited state with its own action.
 
-DAgger (Ross et al. 2011). At each key frame either the policy or the expert acts. The expert takes over from any state,
-with a belief from all tries so far; its action becomes the row's ``action``. The action that was sent is the column
-``complementary_info.executed``, from which a policy's history is made. So the data has the policy's mistakes, and how
+DAgger (Ross et al. 2011). At each key frame either the policy or the expert acts. The expert can take over in any state
+and knows the feedback of all tries so far. Its action becomes the row's ``action``. The executed action is the column
+``complementary_info.executed``, which forms the policy's history. So the data contains the policy's mistakes, and how
 to recover from them.
 """
 
@@ -24,20 +24,20 @@ Action = NDArray[np.float32]
 BEYOND = 1
 """Key frames after success, about as many as in demonstrations."""
 STREAM = 3
-"""Makes these draws differ from others with the episode's seed."""
+"""Stream id that separates these random numbers from others with the same episode seed."""
 
 
 class Actor(Protocol):
-    """A policy acting in one environment."""
+    """A policy that acts in one environment."""
 
     def reset(self, seed: int) -> None:
-        """Begins an episode; random draws follow from the seed."""
+        """Starts an episode; all random numbers follow from the seed."""
 
     def act(self, observation: Observation, instruction: str) -> Action:
-        """Returns its (10,) action."""
+        """Returns the (10,) action for an observation."""
 
     def executed(self, action: Action) -> None:
-        """Replaces its latest action, in its memory, by the (10,) action that was sent instead."""
+        """Replaces the latest action in the policy's history by the executed (10,) action."""
 
 
 ActorFactory = Callable[[], Actor]
@@ -45,7 +45,7 @@ ActorFactory = Callable[[], Actor]
 
 
 TakeOver = Callable[..., KeyFrames]
-"""Takes ``belief`` and ``generator``; returns an expert that takes over from the environment's present state."""
+"""Creates an expert from ``belief`` and ``generator`` that takes over in the environment's present state."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class Correcting:
 
     Attributes:
         actor: the policy; reset by `corrected_rollout`.
-        take_over: returns the expert that labels, and sometimes acts.
+        take_over: creates the expert that labels, and sometimes acts.
         expert_share: probability that the expert acts at a key frame.
         seed: seed of the episode.
     """
@@ -71,7 +71,7 @@ def corrected_rollout(
     correcting: Correcting,
     on_key_frame: Callable[[KeyFrame], None],
 ) -> RolloutResult:
-    """Runs a policy, corrected by an expert, in a freshly reset environment until just after success.
+    """Runs a policy with expert corrections on a freshly reset environment, until shortly after success.
 
     Args:
         env: environment after a reset.

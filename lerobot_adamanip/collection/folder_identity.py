@@ -14,7 +14,7 @@ from lerobot_adamanip.util.errors import DatasetError
 
 
 def require_finished(root: Path, manifest: Manifest) -> None:
-    """Raises `DatasetError` unless a dataset is the whole result of this collection, and no part of it."""
+    """Raises `DatasetError` unless the dataset is the complete result of this collection."""
     stored = _require_same(manifest_path(root), manifest, root)
     found = load_check(root)["total_episodes"]
     kept = None if stored.attempts is None else stored.attempts.kept
@@ -34,7 +34,7 @@ def _require_same(path: Path, manifest: Manifest, where: Path) -> Manifest:
 
 
 def is_own_partial(paths: CollectionPaths, manifest: Manifest) -> bool:
-    """Returns whether the partial folder is of this collection, or holds no episodes."""
+    """Returns whether the partial folder belongs to this collection or has no episodes."""
     if not paths.partial_manifest.exists():
         return count_episodes(paths.partial) == 0
     with contextlib.suppress(DatasetError):
@@ -43,7 +43,7 @@ def is_own_partial(paths: CollectionPaths, manifest: Manifest) -> bool:
 
 
 def prepare_partial(paths: CollectionPaths, manifest: Manifest) -> None:
-    """Makes the partial folder, or checks that the existing one is of this collection.
+    """Creates the partial folder, or checks that the existing one belongs to this collection.
 
     Raises:
         DatasetError: it, or the dataset of failed episodes, contains episodes of another collection.
@@ -53,7 +53,7 @@ def prepare_partial(paths: CollectionPaths, manifest: Manifest) -> None:
     if count_episodes(paths.partial):
         _require_same(paths.partial_manifest, manifest, paths.partial)
     elif not (paths.partial_manifest.exists() and is_own_partial(paths, manifest)):
-        files.remove_tree(paths.attempts)  # of items that another collection gave up
+        files.remove_tree(paths.attempts)  # given-up items of another collection
         write_manifest(paths.partial_manifest, manifest)
     for folder in (paths.episodes, paths.attempts, paths.failed_episodes):
         folder.mkdir(exist_ok=True)

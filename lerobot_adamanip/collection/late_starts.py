@@ -1,8 +1,8 @@
 """Late starts: episodes that start from perturbed mid-task states.
 
-An expert that knows the hidden state drives some key frames, unrecorded; then the fingers open and the hand moves away
-at random. The recording begins there. So a policy learns to continue, for instance with an ajar door after a lost grip:
-experts that start at rest hardly ever show that.
+An expert that knows the hidden state acts for some unrecorded key frames. Then the fingers open and the hand moves away
+by a random offset, and the recording starts. A policy thus learns to continue, for instance with an ajar door after a
+lost grip. Experts that start at rest rarely show such states.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.episode.rollout import KeyframeEnvironment, SimulatedEnvironment, next_goal
 
 KEY_FRAMES = (3, 12)
-"""Least and largest number that an expert drives. Fewer than it needs to succeed."""
+"""Minimum and maximum key frames of the unrecorded expert; fewer than it needs to succeed."""
 BACK, SIDEWAYS, TURN = (0.05, 0.15), 0.03, 0.15
 """Motion of the hand: range backwards [m], standard deviations sideways [m] and of the rotation [rad]."""
 _STREAM = 2
-"""Makes these draws differ from others with the episode's seed."""
+"""Stream id that separates these random numbers from others with the same episode seed."""
 
 Actions = NDArray[np.float32]
 
@@ -47,12 +47,12 @@ class LateStart:
 
     @property
     def generator(self) -> np.random.Generator:
-        """A fresh generator for the expert that drives."""
+        """Returns a new generator for the unrecorded expert."""
         return np.random.default_rng([self.seed, _STREAM, 1])
 
 
 def draw_start(seed: int, share: float) -> LateStart | None:
-    """Draws the start of an episode from its seed alone; None for a start at rest."""
+    """Samples the start of an episode from its seed alone; None for a start at rest."""
     rng = np.random.default_rng([seed, _STREAM])
     if rng.random() >= share:
         return None
@@ -67,16 +67,16 @@ def start_late(
     reset: Callable[[], Observation],
     make_expert: Callable[[np.random.Generator], KeyFrames],
 ) -> tuple[Observation, Actions]:
-    """Drives an environment to a late start; with fewer key frames if one succeeds, for it must not be a success yet.
+    """Brings an environment to a late start before success; uses fewer key frames if one would succeed.
 
     Args:
-        env: to be driven.
-        start: of the episode.
+        env: the environment.
+        start: parameters of the late start.
         reset: restarts the episode; returns its first observation.
         make_expert: creates the unrecorded expert.
 
     Returns:
-        The observation at the start, and the (n, 10) actions that led to it.
+        The first observation, and the (n, 10) actions that led to it.
     """
     for limit in range(start.key_frames, 0, -1):
         reset()

@@ -1,4 +1,4 @@
-"""Result of an item of a collection, and how it is written."""
+"""Result of a collection's item, and how it is written to disk."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class Attempt:
         hidden_state: sampled values; None if no reachable layout was found.
         success: whether the expert succeeded.
         reason: ``success``, or the cause of failure.
-        key_frames: of the episode.
+        key_frames: number of key frames.
         late: whether it had a late start.
     """
 
@@ -42,9 +42,9 @@ class ItemOutcome:
 
     Attributes:
         attempts: all attempts, in order.
-        kept: whether the last one is kept: a success, or a corrected policy's episode with any end.
-        failed: attempt -> content of its episode file, of failed episodes to keep. Empty once written.
-        episode: content of the episode file to keep. None once written.
+        kept: whether the last attempt is kept: a success, or any episode of a corrected policy.
+        failed: attempt -> file content of a failed episode to keep; empty once written.
+        episode: file content of the kept episode; None once written.
     """
 
     attempts: tuple[Attempt, ...]
@@ -54,7 +54,7 @@ class ItemOutcome:
 
 
 def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcome) -> ItemOutcome:
-    """Writes the result of an item, durably; last the file that marks it as done. Returns it without file contents."""
+    """Writes an outcome durably, with the file that marks it as done last; returns it without file contents."""
     for number, content in sorted(outcome.failed.items()):
         name = item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
         write_shard_bytes(paths.failed_episodes / name, content)
@@ -67,5 +67,5 @@ def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcom
 
 
 def attempts_file(paths: CollectionPaths, item: EpisodeSpec) -> Path:
-    """Returns the file that lists the attempts at an item that was given up."""
+    """Returns the file with the attempts at a given-up item."""
     return paths.attempts / item.file_name.replace(".safetensors", ".json")

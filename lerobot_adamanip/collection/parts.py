@@ -1,4 +1,4 @@
-"""Parts of a collection, recorded by machines without a connection, and put together afterwards."""
+"""Parts of a collection: recorded independently on several machines, then combined."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def import_parts(paths: CollectionPaths, manifest: Manifest, sources: Iterable[P
         sources: root folders of the parts.
 
     Raises:
-        DatasetError: one of them is no part, or of another collection, or still being recorded, or damaged.
+        DatasetError: a source is not a part of this collection, is still being recorded, or is damaged.
     """
     for source in sources:
         part = CollectionPaths(resolve_output(source))
@@ -88,7 +88,7 @@ def _import_item(paths: CollectionPaths, part: CollectionPaths, manifest: Manife
 
 
 def belongs(path: Path, manifest: Manifest, item: EpisodeSpec) -> bool:
-    """Returns whether a file holds an episode, or a failed attempt, of this item of this collection."""
+    """Returns whether a file contains a kept or failed episode of this item and collection."""
     record = read_record(path) or {}
     place = (record.get("slot"), record.get("object_id"), record.get("fingerprint"))
     return place == (item.slot, item.object_id, combined(manifest.fingerprint))
@@ -102,7 +102,7 @@ def failed_attempts(folder: Path, item: EpisodeSpec) -> list[Path]:
 
 
 def given_up(paths: CollectionPaths, items: Iterable[EpisodeSpec], max_attempts: int) -> list[JobResult[EpisodeSpec]]:
-    """Returns the results of those items that a part has given up after ``max_attempts``."""
+    """Returns the results of items that a part gave up after ``max_attempts``."""
     results = []
     for item in items:
         with contextlib.suppress(OSError, ValueError, TypeError):

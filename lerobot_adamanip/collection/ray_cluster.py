@@ -1,4 +1,4 @@
-"""Connecting to a Ray cluster, of this machine alone or one that demands a token; and versions of its nodes."""
+"""Connection to a Ray cluster (local, or protected by a token), and the version check of its nodes."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 LOCAL, AUTO = "local", "auto"
 EQUAL = ("lerobot_env_adamanip", "lerobot", "mani_skill", "sapien", "numpy", "torch", "embreex", "fpsample", "scipy")
-"""Distributions whose versions must be the driver's on every node: an episode's data may depend on them."""
-# Loopback stays loopback (Ray would replace it by the first interface's address), and no usage statistics are sent.
+"""Distributions that must have the driver's version on every node, because they may affect episodes."""
+# Keep the loopback address, which Ray would replace by the first interface's, and send no usage statistics.
 _RAY_SETTINGS = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_ENABLE_UV_RUN_RUNTIME_ENV": "0",
 }
 _PROBE_SECONDS = 30
-# `ray.init` tries for 20 s and then gives no reason. This is private, but what `ray.init` begins with.
+# `ray.init` tries for 20 s and then gives no reason. This private client is its first call.
 _PROBE = """
 import sys
 from ray._raylet import GcsClient
@@ -137,7 +137,7 @@ def connected(address: str, *, workers: int, insecure: bool) -> Iterator[int]:
 
 
 def _set_environment(address: str) -> None:
-    """Sets the variables of Ray and of the processes that it starts; so a token is in no command line.
+    """Sets the environment variables for Ray and its processes, so that no command line contains the token.
 
     Ray reads them once, when it is imported, so they stay for the life of this process.
     """
@@ -195,7 +195,7 @@ def require_closed(address: str) -> None:
 
 
 def _answer(address: str, environment: Mapping[str, str]) -> str:
-    """Returns ``open``, ``refused``, or why there was no answer; asks in a new process: Ray reads a token once."""
+    """Returns ``open``, ``refused``, or the failure; runs in its own process, because Ray reads the token only once."""
     line = [sys.executable, "-c", _PROBE, address]
     try:
         done = subprocess.run(

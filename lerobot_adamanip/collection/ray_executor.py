@@ -1,7 +1,7 @@
-"""Recording on actors of a Ray cluster, with the interface of `lerobot_adamanip.util.jobs.WorkerPool`.
+"""Executor on actors of a Ray cluster, with the interface of `lerobot_adamanip.util.jobs.WorkerPool`.
 
-Ray's own restarts and `ray.util.ActorPool` are not enough: a restarted actor waits for a CPU of its own with its item,
-while others are idle; an item that crashes every actor is not given up; and one that hangs is not noticed.
+Ray's restarts and `ray.util.ActorPool` are not sufficient. A restarted actor keeps its item while it waits for a CPU,
+although others are idle. An item that crashes every actor is never given up. A hanging actor is not detected.
 """
 
 from __future__ import annotations
@@ -30,12 +30,12 @@ from lerobot_adamanip.util.jobs import (
 )
 
 MAX_CRASHES = 3
-"""Crashes after which an item is given up: one more than on one machine, as a node may crash whatever it runs."""
+"""Crashes after which an item is given up: one more than on one machine, because nodes may crash for other reasons."""
 _POLL_SECONDS = 0.5
 
 
 class SessionActor[Item]:
-    """Runs in a process of a node. It creates its session with the first item."""
+    """Actor that runs items on a node. It creates its session with the first item."""
 
     def __init__(self, session: Session[Item]) -> None:
         self._stack, self._session = contextlib.ExitStack(), session
@@ -50,14 +50,14 @@ class SessionActor[Item]:
         try:
             if self._work is None:
                 self._work = self._stack.enter_context(self._session())
-            return "result", self._work(item, lambda: None)  # no heartbeats: the item as a whole has a time limit
+            return "result", self._work(item, lambda: None)  # no heartbeats: each item has a time limit instead
         except Exception as error:
             return "error", error_text(error)
 
 
 @dataclass
 class _Call[Item]:
-    """A call that Ray will answer: a greeting (no item), or an item."""
+    """Pending Ray call: a greeting (no item), or an item."""
 
     actor: Any
     item: Item | None = None
@@ -67,13 +67,13 @@ class _Call[Item]:
 class RayExecutor[Item]:
     """Runs items on actors of the connected cluster. Use as a context manager.
 
-    An actor has one CPU of the cluster and one item at a time. If it crashes, or works on an item for too long, another
-    one runs the item; after `MAX_CRASHES` the item is given up.
+    An actor uses one CPU and runs one item at a time. If it crashes or exceeds the timeout, another actor restarts the
+    item; after `MAX_CRASHES` the item is given up.
 
     Args:
-        session: creates what an actor keeps from item to item; a function of a module, or a partial of one.
+        session: creates an actor's session; must be a module-level function or a partial of one.
         count: maximum number of actors.
-        timeout: a longer work on one item [s] counts as a crash; a longer wait for a first free CPU is an error.
+        timeout: time limit of an item, after which it counts as a crash, and of waiting for the first free CPU [s].
     """
 
     def __init__(self, session: Session[Item], count: int, *, timeout: float) -> None:
@@ -147,12 +147,12 @@ class RayExecutor[Item]:
             raise WorkerError(f"No CPU of the cluster became free within {self._timeout:g} s.")
 
     def _crashed(self, call: _Call[Item], cause: str, details: str) -> Iterator[JobResult[Item]]:
-        """Lets an actor go; its item is tried again or given up.
+        """Releases an actor; its item is tried again or given up.
 
         Args:
             call: unanswered call.
             cause: cause of the crash, as stored in the dataset.
-            details: from Ray, for the screen.
+            details: Ray's message, for the screen.
         """
         self._end(call.actor)
         is_final = self._crashes.is_final(call.item, details)

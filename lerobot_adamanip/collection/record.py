@@ -1,6 +1,6 @@
-"""Recording the episodes of a collection, in a worker with a simulator. Results are the bytes of episode files.
+"""Recording of episodes in a worker with a simulator. Results are the bytes of episode files.
 
-So a worker needs no folder of the collection: a local worker writes the files itself, the driver those of a cluster.
+A worker needs no access to the collection's folder: a local worker writes itself, for a cluster the driver writes.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Factories:
 
 @dataclass(frozen=True)
 class EpisodeRequest:
-    """An episode to be attempted: its object, its seed, and hidden values that are not drawn."""
+    """Request for one attempt: object, seed, and optionally fixed hidden values."""
 
     object_id: str
     seed: int
@@ -82,7 +82,7 @@ class RecordingJob:
 
 
 class Environments:
-    """Builds environments, one at a time: of the category that was asked for last. Use as a context manager."""
+    """Builds environments, one at a time, for the last requested category. Use as a context manager."""
 
     def __init__(self, make: EnvFactory, spec: CollectionSpec) -> None:
         self._make, self._spec = make, spec
@@ -107,7 +107,7 @@ class Environments:
 
 @contextlib.contextmanager
 def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
-    """Yields a worker's function, which records an item, with one simulator for successive items of a category."""
+    """Yields a worker's function that records an item; it keeps one simulator until the category changes."""
     actor = None if job.factories.actor is None else job.factories.actor()
 
     def make(options: EnvironmentOptions) -> SimulatedEnvironment:
@@ -123,7 +123,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Hear
 def writing_session(
     job: RecordingJob, paths: CollectionPaths
 ) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
-    """As `recording_session`, for a worker on the machine of the collection: it also writes the episodes."""
+    """Like `recording_session`, for local workers: also writes the episodes."""
     with recording_session(job) as record:
         yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 
@@ -142,9 +142,9 @@ def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
 def record_item(
     env: SimulatedEnvironment, job: RecordingJob, item: EpisodeSpec, beat: Heartbeat, actor: Actor | None = None
 ) -> ItemOutcome:
-    """Attempts seeds until the expert succeeds; for a policy's corrections, until a scene can be reached.
+    """Attempts seeds until the expert succeeds; for a policy's corrections, until a scene is reachable.
 
-    Every attempt has the hidden state of the first: otherwise the dataset would have fewer of the hard ones.
+    Every attempt uses the hidden state of the first one: otherwise hard hidden states would become rare.
     """
     attempts: list[Attempt] = []
     failed: dict[int, bytes] = {}
@@ -233,7 +233,7 @@ def _expert(
     generator: np.random.Generator | None = None,
     **known: Any,
 ) -> KeyFrames:
-    """Returns the expert of an episode. For a late start it gets the positions of parts, and the feedback."""
+    """Returns the expert of an episode. After a late start it knows the part positions and the feedback."""
     return make_expert(
         category_of(request.object_id),
         spec.expert,
@@ -252,7 +252,7 @@ def _expert(
 def _started(
     env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
 ) -> tuple[Any, NDArray[np.float32]]:
-    """Resets, to a late start if the seed says so; returns the first observation, and the actions that led there."""
+    """Resets, then executes the late start if the seed has one; returns the first observation and the actions."""
     options: dict[str, Any] = {"object_id": request.object_id}
     if request.overrides is not None:
         options["hidden_overrides"] = dict(request.overrides)

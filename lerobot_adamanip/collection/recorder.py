@@ -1,4 +1,4 @@
-"""Recording key frames as rows of a dataset: observation, action, labels and outcome."""
+"""Recorder: one dataset row per key frame, with observation, action, labels and outcome."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ Row = dict[str, NDArray[Any]]
 
 @dataclass
 class EpisodeRecorder:
-    """Collects key frames. Row t: observation t, the action sent then, its labels, and its outcome.
+    """Records key frames. Row t: observation t, the action sent from it, its labels, and its outcome.
 
-    The last row is terminal: the final observation, with an action that keeps the tool's pose and was not sent.
+    The last row is terminal: the final observation, with an action that keeps the tool pose and was not sent.
 
     Attributes:
         joints: returns the present joint positions (13,), see `schema.JOINT_NAMES`.
         failed_before: failed tries before the recording; its rows do not count them.
         rows: recorded rows, column -> array, without the terminal one.
-        tries: so far.
+        tries: number of tries so far.
         failed_tries: number of failed tries so far.
     """
 

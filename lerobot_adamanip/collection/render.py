@@ -1,4 +1,4 @@
-"""Adding pictures to a dataset: scenes are set up from their seeds, joints put where they were recorded."""
+"""Adds images to a dataset: rebuilds each scene from its seed and sets the recorded joint positions."""
 
 from __future__ import annotations
 
@@ -61,9 +61,9 @@ def add_pictures(
         root: dataset collected without images.
         out: root of the new dataset; another folder.
         make_env: builds the environment; it never comes from the dataset.
-        assets: folder of external assets, if the dataset was recorded with any.
-        repo_id: for its card; ``local/<folder name>`` by default.
-        progress: called with a stage (``render``, ``assemble``), episodes done, and all.
+        assets: folder of external assets, if the dataset uses any.
+        repo_id: repository id in the dataset card; ``local/<folder name>`` by default.
+        progress: called with the stage (``render``, ``assemble``), finished and total episodes.
 
     Raises:
         DatasetError: the dataset already has images or is incomplete, or its scenes have changed.
@@ -103,7 +103,7 @@ def _built(
 
 
 def _prepare(output: OutputFolder, manifest: Manifest, source: CollectedDataset) -> None:
-    """Notes in the work folder which dataset is made there, and of which one."""
+    """Records the identity of the new dataset and of its source in the work folder."""
     output.require_free()
     output.require_room(2 * files.tree_bytes(source.source.root))
     write_manifest(output.work / MANIFEST, manifest)

@@ -1,4 +1,4 @@
-"""Replaying a recorded episode in the simulator, to compare the observations with the recorded ones."""
+"""Replay of recorded episodes in the simulator, compared with the recorded observations."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class ReplayResult:
         key_frames: number of recorded key frames.
         replayed: number of key frames until the replay ended.
         differences: column -> largest absolute difference over all key frames, in units of the column.
-        success: of the replay.
-        recorded_success: of the recording.
+        success: whether the replay succeeded.
+        recorded_success: whether the recording succeeded.
         changed: fingerprint parts that differ between the recording and this program.
     """
 
@@ -76,16 +76,16 @@ def replay(
     """Runs an episode's recorded actions from its recorded start and compares the observations.
 
     Args:
-        root: of a dataset of ``adamanip collect``.
-        episode: its index.
+        root: dataset from ``adamanip collect``.
+        episode: index of the episode.
         make_env: builds the environment; it never comes from the dataset.
         assets: folder of external assets, if any were used.
         video: file for a video of recording (left), if it has pictures, and replay (right); None for no video.
-        progress: called with the key frames done, and all.
+        progress: called with finished and total key frames.
 
     Raises:
-        DatasetError: the dataset is missing, not whole, or damaged.
-        ConfigurationError: it has no such episode.
+        DatasetError: the dataset is missing, incomplete or damaged.
+        ConfigurationError: the episode does not exist.
     """
     dataset = _open(Path(root), episode, assets)
     recorded = dataset.episode(episode)
@@ -166,7 +166,7 @@ def _run(
         env.drive(action)
     if len(recorded.prefix):
         observation = env.observe()
-    actions = recorded.columns[schema.EXECUTED][:-1]  # the terminal row's was never sent
+    actions = recorded.columns[schema.EXECUTED][:-1]  # the terminal row's action was never sent
     seen, success = [observation_columns(observation)], False
     pictures = [env.render()] if look else []
     for number, action in enumerate(actions):
@@ -192,12 +192,12 @@ def check_replays(
     """Replays episodes in the simulator and returns findings of kind ``replay``.
 
     Args:
-        root: of a clean dataset of `adamanip collect`.
-        episodes: their indices.
+        root: valid dataset from `adamanip collect`.
+        episodes: indices of the episodes.
         make_env: builds the environment.
         tolerance: largest accepted difference in any column, in units of the column.
         assets: folder of external assets, if the dataset uses any.
-        progress: called with stage ``replay``, episodes done, and all.
+        progress: called with the stage ``replay``, finished and total episodes.
     """
     report, chosen = Report(), list(episodes)
     for done, number in enumerate(chosen, start=1):

@@ -1,4 +1,4 @@
-"""Summary of a run of `collect` and of its dataset."""
+"""Summary of a `collect` run and of its dataset."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.jobs import JobResult
 
 Results = list[JobResult[EpisodeSpec]]
-"""Of items, with `ItemOutcome` values."""
+"""Results of items, with `ItemOutcome` values."""
 
 
 @dataclass(frozen=True)
@@ -23,11 +23,11 @@ class CategorySummary:
     """A category's share of a dataset and of this run.
 
     Attributes:
-        episodes: in the dataset.
-        attempts: at them.
+        episodes: number in the dataset.
+        attempts: number of attempted episodes.
         mean_key_frames: mean length of an episode.
-        recorded: episodes, by this run.
-        worker_seconds: of this run, all workers together.
+        recorded: number recorded by this run.
+        worker_seconds: worker time of this run, summed over workers.
     """
 
     episodes: int
@@ -38,24 +38,24 @@ class CategorySummary:
 
     @property
     def episodes_per_worker_minute(self) -> float:
-        """Rate of one worker."""
+        """Recorded episodes per worker minute."""
         return 60.0 * self.recorded / self.worker_seconds if self.recorded else 0.0
 
 
 @dataclass(frozen=True)
 class CollectSummary:
-    """Summary of a run of `collect`.
+    """Summary of a `collect` run.
 
     Attributes:
-        root: of the dataset; of a part, the folder of its episode files.
-        episodes: in the dataset.
-        attempted: episodes attempted for the dataset, those of given-up items included.
+        root: root folder of the dataset; for a part, the folder of its episode files.
+        episodes: number in the dataset.
+        attempted: number of all attempts, including those of given-up items.
         given_up: number of items without an episode.
-        recorded: episodes recorded by this run; the others were there already.
-        attempts: episodes attempted by this run.
-        seconds: from the start of this run to the finished dataset.
+        recorded: number recorded by this run.
+        attempts: number of attempts in this run.
+        seconds: duration of this run, up to the finished dataset.
         recording_seconds: recording time within it.
-        success_rate: successes over attempted, of the expert or of the corrected policy.
+        success_rate: successes per attempt, of the expert or of the corrected policy.
         bytes: size of the dataset on disk.
         failures: one line per given-up item; empty for a complete dataset.
         categories: by name, in dataset order.
@@ -76,18 +76,18 @@ class CollectSummary:
 
     @property
     def episodes_per_minute(self) -> float:
-        """Rate of this run's recording."""
+        """Recorded episodes per minute of recording."""
         return 60.0 * self.recorded / self.recording_seconds if self.recorded else 0.0
 
 
 @dataclass(frozen=True)
 class Run:
-    """A run of `collect`.
+    """A `collect` run.
 
     Attributes:
-        begin: time of its start, by `time.monotonic` [s].
-        results: of its items.
-        recording_seconds: spent recording.
+        begin: start time, from `time.monotonic` [s].
+        results: results of its items.
+        recording_seconds: recording time.
         failures: one line per given-up item.
     """
 
@@ -97,7 +97,7 @@ class Run:
     failures: tuple[str, ...] = ()
 
     def summarize(self, root: Path, spec: CollectionSpec) -> CollectSummary:
-        """Returns the summary of this run and of a finished dataset."""
+        """Returns the summary of this run and a finished dataset."""
         rows = episode_table(root).select(["object_id", "attempts", "length", "success"]).to_pylist()
         counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
         return CollectSummary(
@@ -110,7 +110,7 @@ class Run:
         )
 
     def summarize_part(self, paths: CollectionPaths, items: list[EpisodeSpec]) -> CollectSummary:
-        """Returns the summary of this run and of the episode files of a part; there is no dataset yet."""
+        """Returns the summary of this run and a part's episode files; a part has no dataset."""
         kept = sum((paths.episodes / item.file_name).exists() for item in items)
         facts = self._facts(paths.partial)
         succeeded = sum(attempt.success for result in self.results for attempt in result.value.attempts)

@@ -1,4 +1,4 @@
-"""Running a trained LeRobot policy in a `KeyframeEnvironment`, outside of `lerobot-eval`."""
+"""Runner of a trained LeRobot policy in a `KeyframeEnvironment`, outside of `lerobot-eval`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 Action = NDArray[np.float32]
 _ACTING = ("config.json", "model.safetensors", "policy_*processor*")
-"""Files of a checkpoint that its actions depend on."""
+"""Checkpoint files that affect its actions."""
 
 
 def policy_hash(path: Path) -> str:
@@ -65,7 +65,7 @@ class TrainedPolicy:
         )
 
     def reset(self, seed: int) -> None:
-        """Begins an episode; random draws follow from the seed."""
+        """Starts an episode; its random numbers follow from the seed."""
         torch.manual_seed(seed % 2**63)
         self._policy.reset()
         for pipeline in (self._before, self._after):
@@ -96,7 +96,7 @@ class TrainedPolicy:
 
 
 def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
-    """Returns an observation as a batch of one row of a dataset."""
+    """Returns an observation as a batch of size one, in the form of a dataset row."""
     batch: dict[str, Any] = {"task": [instruction]}
     for key, value in observation_columns(observation).items():
         tensor = torch.from_numpy(value)[None]

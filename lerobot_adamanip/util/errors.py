@@ -1,4 +1,4 @@
-"""Errors that a user can act on: what is wrong, what was given, what is allowed, what to try."""
+"""Errors that users can fix: what is wrong, what was given, what is allowed, what to try."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import difflib
 from collections.abc import Iterable, Iterator, Sequence
 
 MOST_LISTED = 10
-"""Items that a message lists at most."""
+"""Maximum number of items that a message lists."""
 
 GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
 """How to get a Vulkan device."""
@@ -17,7 +17,7 @@ class AdaManipError(Exception):
     """Base of the errors that this project raises on purpose.
 
     Args:
-        what: what is wrong, one sentence; alone, the whole message.
+        what: problem in one sentence; without the other arguments it is the whole message.
         got: given value.
         allowed: allowed values.
         hint: command or keyword to try.
@@ -53,7 +53,7 @@ class UnreachableError(AdaManipError, RuntimeError):
 def shown_by_parsers() -> Iterator[None]:
     """Turns a `ConfigurationError` into an `AdaManipError` of the same text.
 
-    For constructors that draccus calls: it replaces the message of any `ValueError` by its own.
+    For constructors that draccus calls, because draccus replaces the message of any `ValueError`.
     """
     try:
         yield
@@ -64,7 +64,7 @@ def shown_by_parsers() -> Iterator[None]:
 def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | None = None) -> str:
     """Returns ``got`` if it is one of ``choices``; otherwise raises `ConfigurationError`.
 
-    Its "try" is the choice most similar to ``got``, else ``hint``, else the first choice.
+    The error suggests the choice most similar to ``got``, otherwise ``hint``, otherwise the first choice.
     """
     names = sorted(choices)
     if got in names:
@@ -75,7 +75,7 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | N
 
 
 def nearest(got: str, choices: Iterable[str]) -> str | None:
-    """Returns the choice most similar to ``got``, in any case; None if there is none."""
+    """Returns the choice most similar to ``got``, ignoring case; None if none is similar."""
     plain = {name.lower(): name for name in choices}
     near = difflib.get_close_matches(got.lower(), plain, n=1)
     return plain[near[0]] if near else None

@@ -1,4 +1,4 @@
-"""Files that survive a power cut: atomic writes, syncs of files and folders, durable moves."""
+"""Crash-safe files: atomic writes, synced files and folders, durable moves."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ CRASH_POINTS = (
 REPAIR_POINTS = ("moved aside", "partly mended")
 """Points of a repair."""
 on_crash_point: Callable[[str], None] | None = None
-"""Called at every crash point; set by tests alone."""
+"""Callback for every crash point; set by tests only."""
 
 
 def crash_point(name: str) -> None:
-    """Marks a point at which a crash must lose nothing; for tests, see `on_crash_point`."""
+    """Marks a point at which a crash must lose no data; tests use it, see `on_crash_point`."""
     assert name in CRASH_POINTS + REPAIR_POINTS
     if on_crash_point is not None:
         on_crash_point(name)
 
 
 def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str] | None = None) -> None:
-    """Writes a file that is complete after a crash, or as it was before.
+    """Writes a file so that after a crash it has either the new content or the old one.
 
     Args:
         path: file path; the folder must exist.
         content: new content.
-        crash_points: before and after the rename.
+        crash_points: names of the points before and after the rename.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:

@@ -1,7 +1,7 @@
-"""Fingerprints: hashes of the code that decides a result, and installed versions.
+"""Fingerprints: hashes of the code that affects results, and installed versions.
 
-The code is the import closure of named modules. A hash covers the syntax tree without docstrings, so it does not depend
-on comments, layout and documentation.
+The code is the import closure of named modules. A hash covers the syntax tree without docstrings, so comments, layout
+and documentation do not change it.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ DECIDES_NOTHING: Mapping[str, str] = {
     "lerobot_adamanip.lerobot_patches.ordered_depth": "recordings of robots",
     "lerobot_env_adamanip.fingerprint": "tells what decides",
 }
-"""Imported module or package -> why it is left out of fingerprints. There are no other exceptions."""
+"""Excluded module or package -> reason. There are no other exceptions."""
 _LENGTH = 16
 
 
@@ -67,7 +67,7 @@ def versions() -> Mapping[str, str]:
 
 @functools.cache
 def cpu_model() -> str:
-    """Returns this machine's processor model: renderers and arithmetic libraries choose their code by it."""
+    """Returns this machine's CPU model, because renderers and arithmetic libraries select code by it."""
     with contextlib.suppress(OSError, IndexError):
         info = Path("/proc/cpuinfo").read_text(encoding="utf-8")
         if name := info.split("\nmodel name", 1)[1].partition(":")[2].partition("\n")[0].strip():

@@ -1,7 +1,7 @@
-"""A pool of worker processes that survives crashes and replaces workers that hang. Independent of the work itself.
+"""Process pool that recovers from crashed and hanging workers, for any kind of work.
 
-A worker creates what it needs for its items (a simulator, say) once, in its `Session`. Session and items travel from
-the parent process to processes it has started; nothing of a job is read from a file.
+Each worker creates its resources (for instance a simulator) once, in its `Session`. The parent process sends session
+and items to the processes that it has started; jobs are never read from files.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from typing import Any, Self
 from lerobot_adamanip.util.errors import AdaManipError
 
 DEFAULT_TIMEOUT = 600.0
-"""A worker without a heartbeat for this long [s] hangs. The first one includes starting a simulator."""
+"""A worker without a heartbeat for this long counts as hanging [s]. The first one includes the simulator's start."""
 MAX_CRASHES, MAX_CONSECUTIVE_CRASHES = 2, 6
-"""Crashes after which an item is given up, and crashes without a result between them that end the whole job."""
+"""Crashes after which an item is given up, and consecutive crashes that end the whole job."""
 THREAD_LIMITS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-"""Environment of a worker. One thread, whatever the number of workers: sums are then always taken in the same order."""
+"""Environment of a worker. With one thread, sums have the same order for any number of workers."""
 _STOP_SECONDS = 5.0
 _MIN_BEAT_SECONDS = 1.0
 
@@ -37,16 +37,16 @@ Heartbeat = Callable[[], None]
 type Work[Item] = Callable[[Item, Heartbeat], object]
 """Runs one item."""
 type Session[Item] = Callable[[], AbstractContextManager[Work[Item]]]
-"""Created in a worker: what it keeps from item to item. A function of a module, or a `functools.partial` of one."""
+"""Context manager in a worker that keeps resources between items. Must be module-level or a `functools.partial`."""
 
 _preloaded: list[str] = []
 
 
 def preload(*modules: str) -> None:
-    """Makes workers of this process start as copies of one that has imported ``modules``; the import begins at once.
+    """Makes this process's workers copies of one that has imported ``modules``; starts importing at once.
 
-    Call it at the start of a command: otherwise each worker imports the simulator itself, for 4 s of a core. Workers
-    are spawned where processes cannot be copied. A missing module is left to the code that needs it.
+    Call it at the start of a command: otherwise each worker imports the simulator, which takes 4 s of CPU time. Where
+    processes cannot be copied, workers are spawned. A missing module raises later, in the code that needs it.
     """
     if _preloaded or "forkserver" not in multiprocessing.get_all_start_methods():
         return
@@ -59,7 +59,7 @@ def preload(*modules: str) -> None:
 
 
 class WorkerError(AdaManipError, RuntimeError):
-    """The work raised an error, which other items would raise too; or workers keep crashing."""
+    """Error in the work, which would affect other items too, or repeated crashes of workers."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,10 @@ class JobResult[Item]:
     """Result of an item.
 
     Attributes:
-        item: that was run.
-        value: returned by the work; None if the item was given up.
-        death: how its last worker crashed, if it was given up.
-        seconds: that it took.
+        item: the item.
+        value: return value of the work; None if the item was given up.
+        death: cause of the last crash, if the item was given up.
+        seconds: duration.
     """
 
     item: Item
@@ -80,11 +80,11 @@ class JobResult[Item]:
 
 
 class Crashes[Item]:
-    """Counts crashes, to decide whether an item is tried again.
+    """Counts crashes to decide whether an item is tried again.
 
     Args:
-        per_item: after so many, an item is given up.
-        consecutive: so many without a result between them end the job.
+        per_item: number of crashes after which an item is given up.
+        consecutive: number of crashes without a result in between that ends the job.
     """
 
     def __init__(self, per_item: int, consecutive: int) -> None:
@@ -115,7 +115,7 @@ class _Worker[Item]:
     def assign(self, item: Item) -> None:
         self.item, self.started = item, time.monotonic()
         self.last_heartbeat = self.started
-        with contextlib.suppress(OSError):  # the crash of a worker is noticed when its answer is read
+        with contextlib.suppress(OSError):  # a crashed worker is detected when its answer is read
             self.pipe.send(item)
 
     def end(self) -> None:
@@ -130,9 +130,9 @@ class WorkerPool[Item]:
     """Runs items on up to ``count`` processes. Use as a context manager; its exit ends the processes.
 
     Args:
-        session: creates what a worker keeps from item to item.
+        session: creates a worker's resources.
         count: maximum number of processes.
-        timeout: a worker without a heartbeat for so long [s] is ended; this counts as a crash.
+        timeout: a worker without a heartbeat for this long is ended and counts as crashed [s].
     """
 
     def __init__(self, session: Session[Item], count: int, *, timeout: float = DEFAULT_TIMEOUT) -> None:
@@ -217,7 +217,7 @@ def _exit_cause(exit_code: int | None) -> str:
 
 @contextlib.contextmanager
 def _thread_limits() -> Iterator[None]:
-    """Sets `THREAD_LIMITS` while a process starts: libraries read them when they are loaded."""
+    """Sets `THREAD_LIMITS` while a process starts, because libraries read them when they are loaded."""
     before = {name: os.environ.get(name) for name in THREAD_LIMITS}
     os.environ.update(THREAD_LIMITS)
     try:
@@ -231,12 +231,12 @@ def _thread_limits() -> Iterator[None]:
 
 
 def error_text(error: Exception) -> str:
-    """Returns what the parent process says of an error of the work: exceptions do not travel between processes."""
+    """Returns an error of the work as text for the parent process, because exceptions may not pickle."""
     return str(error) if isinstance(error, AdaManipError) else "".join(traceback.format_exception(error))
 
 
 def _serve[Item](pipe: Connection, session: Session[Item], render_threads: int) -> None:
-    """Runs items from ``pipe`` until it closes; a software renderer gets ``render_threads``."""
+    """Runs items from ``pipe`` until it closes; a software renderer uses ``render_threads`` threads."""
     os.environ["LP_NUM_THREADS"] = str(render_threads)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the parent handles it
     threading.Thread(target=_exit_with_parent, daemon=True).start()

@@ -1,4 +1,4 @@
-"""Parse JSON of any origin strictly, and check every field, with one clear error.
+"""Strict parsing of untrusted JSON: every field is checked, with one clear error.
 
 No value read here is imported, called or used as a path.
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_origin, get_type_hints
 
 MAX_BYTES = 8_000_000
-"""More than any file of this project has."""
+"""Larger than any file of this project."""
 
 Check = Callable[[str, object], Any]
 """Check of a field: takes name and value; returns the value or raises ValueError that names the field."""
@@ -101,7 +101,7 @@ def mapping(key: Check, each: Check, highest: int) -> Check:
 
 
 def table(checks: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
-    """Returns a check for exactly these fields; ``ignored`` ones may be there."""
+    """Returns a check for exactly these fields; ``ignored`` ones are optional and not checked."""
 
     def check(name: str, value: object) -> dict[str, Any]:
         if not isinstance(value, Mapping):
