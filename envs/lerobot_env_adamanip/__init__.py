@@ -1,6 +1,6 @@
-"""AdaManip as a LeRobot plugin: importing this registers environments and policy, and nothing heavy.
+"""AdaManip as a LeRobot plugin: importing this registers environments and policy, without heavy imports.
 
-Unless the environment variable `lerobot_adamanip.NO_PLUGIN` is set: LeRobot's configurations take seconds to import.
+If the variable `lerobot_adamanip.NO_PLUGIN` is set, it skips LeRobot's configurations, which take seconds to import.
 """
 
 import os

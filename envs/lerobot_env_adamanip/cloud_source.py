@@ -1,4 +1,4 @@
-"""Where clouds come from on this machine. Importing this imports no simulator."""
+"""Source of point clouds on this machine. Importing this module does not import the simulator."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ _logger = logging.getLogger(__name__)
 
 
 def resolve_cloud_source(wanted: str) -> str:
-    """Returns ``raycast`` or ``render``: the latter as well where rays are wanted and embreex is not installed."""
+    """Returns ``raycast`` or ``render``; falls back to ``render`` if embreex is not installed."""
     require_choice("source of clouds", wanted, CLOUD_SOURCES)
     if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
         _tell_once("embreex is not installed, so clouds are rendered, some ten times slower: pip install embreex")

@@ -1,4 +1,4 @@
-"""LeRobot's environment configurations: ``--env.type=adamanip_safe``. Light: no simulator is imported here."""
+"""LeRobot's environment configurations: ``--env.type=adamanip_safe``. Imports no simulator."""
 
 from __future__ import annotations
 
@@ -34,75 +34,75 @@ if TYPE_CHECKING:
 
 
 def hidden_value() -> Any:
-    """A field that fixes a hidden value by its name; None leaves it to the draw."""
+    """Field that fixes a hidden value by its name; None samples it."""
     return field(default=None, metadata={"hidden": True})
 
 
 @dataclass
 class AdaManipEnvConfig(EnvConfig):
-    """Options of every environment; see `lerobot_adamanip.episode.options.EnvironmentOptions`."""
+    """Options of all environments; see `lerobot_adamanip.episode.options.EnvironmentOptions`."""
 
     category: ClassVar[str] = ""
 
-    # The environment's name in LeRobot's logs; the category's if not given.
+    # Name of the environment in LeRobot's logs; by default the category's.
     task: str | None = None
-    # Categories of the suite that are evaluated at once, in threads.
+    # Number of the suite's categories to evaluate in parallel threads.
     max_parallel_tasks: int = 1
-    # Without effect: these environments are not made by gymnasium.make.
+    # No effect: gymnasium.make does not create these environments.
     disable_env_checker: bool = True
-    # Key frames per second of a recorded video: one step is one key frame, so this is no speed of control.
+    # Key frames per second of a recorded video. A step is one key frame, so this is not a control rate.
     fps: int = FPS
-    # Which objects: seen (the paper's count), unseen (the next 20), FIRST:END, or ids separated by commas.
+    # Objects: seen (the paper's number), unseen (the next 20), FIRST:END, or ids separated by commas.
     objects: str = "seen"
-    # Use the external assets in this folder (AdaManip's, UniDoorManip's or PartNet-Mobility's), see docs/annotate.md.
+    # Folder of external assets to use (AdaManip, UniDoorManip or PartNet-Mobility), see docs/annotate.md.
     assets: str | None = None
-    # Points in observation.point_cloud; a policy that uses fewer takes the first, which are a farthest-point sample.
+    # Points in observation.point_cloud, in farthest-point order: a policy with fewer points uses the first ones.
     num_points: int = DEFAULT_NUM_POINTS
-    # Side of the front image [px].
+    # Side length of the front image [px].
     image_size: int = IMAGE_SIZE
-    # Observe the front image: true, false, or left out: where this machine renders. false is fastest without a GPU.
+    # Whether to observe the front image: true, false, or unset: if this machine renders. false is faster without a GPU.
     observe_images: bool | None = None
-    # randomized: object, robot and camera pose are drawn. fixed: nominal poses, as upstream has them.
+    # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
-    # Mechanisms as in the paper's text (paper), as in its released code (upstream), or ours (hard); docs/categories.md.
+    # Rules of mechanisms: paper (the paper's text), upstream (its code), or hard (this project's); docs/categories.md.
     mechanism_rules: str = "paper"
-    # Key frames per episode.
+    # Maximum key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
-    # Whose scenes: validation to choose by, test for numbers that are reported, train. They share none.
+    # Split of scenes, without overlap: train, validation (for selection), or test (for reported numbers).
     split: str = "validation"
-    # Where clouds come from: raycast (needs no renderer), or render (ten times slower); the same clouds.
+    # Source of point clouds: raycast (no renderer), or render (ten times slower). The clouds are equal.
     cloud_source: str = "raycast"
-    # What renders: cuda, cpu, or auto, the first of them that renders on this machine.
+    # Rendering device: cuda, cpu, or auto: the first of them that renders on this machine.
     render_backend: str = "auto"
-    # Lower corner of the box of which clouds keep the points: x, y, z, robot base frame [m].
+    # Lower corner of the workspace box that crops point clouds: x, y, z in the robot base frame [m].
     workspace_lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
-    # Upper corner of that box [m].
+    # Upper corner of the workspace box [m].
     workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
-    # Append each episode's record (seed, object, hidden state, success, tries) to this file; read by `adamanip report`.
+    # File to append each episode's record to (seed, object, hidden state, success, tries), for `adamanip report`.
     episode_log: str | None = None
-    # Log only episodes of these seeds, first and end: [1000,1005] for --seed=1000 --eval.n_episodes=5. LeRobot runs
-    # whole batches and counts the first n_episodes; left out, the log holds the last batch's surplus too.
+    # Half-open range of seeds to log: [1000,1005] for --seed=1000 --eval.n_episodes=5. LeRobot runs whole batches and
+    # counts the first n_episodes; if unset, the log also has the surplus of the last batch.
     logged_seeds: tuple[int, int] | None = None
-    # What to call these episodes in the log, for instance the policy.
+    # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # The former name of --env.poses; setting it is an error that says so.
+    # Former name of --env.poses; setting it raises an error with the new name.
     pose_preset: str | None = None
-    # The former name of --env.mechanism_rules; setting it is an error that says so.
+    # Former name of --env.mechanism_rules; setting it raises an error with the new name.
     mechanism_preset: str | None = None
-    # Set by itself: the observations' and the action's shapes.
+    # Set automatically: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    # Set by itself: the names they have in datasets.
+    # Set automatically: their names in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Fills features from the options.
 
         Raises:
-            AdaManipError: a value cannot work; at once, not when a training first evaluates.
+            AdaManipError: a value is invalid. Raised here, before a training's first evaluation.
         """
         with shown_by_parsers():
             refuse_former_name("pose_preset", self.pose_preset)
-            if self.mechanism_preset != self.mechanism_rules:  # trainings of version 0.2 have stored it
+            if self.mechanism_preset != self.mechanism_rules:  # stored by trainings of version 0.2
                 refuse_former_name("mechanism_preset", self.mechanism_preset)
             for group in self._groups().values():
                 self._options(**group)
@@ -122,7 +122,7 @@ class AdaManipEnvConfig(EnvConfig):
 
     @property
     def hidden_overrides(self) -> dict[str, bool | int]:
-        """Returns the hidden values that the options fix; the others are drawn."""
+        """Returns the hidden values that the options fix; others are sampled."""
         names = [item.name for item in fields(self) if item.metadata.get("hidden")]
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
@@ -148,17 +148,17 @@ class AdaManipEnvConfig(EnvConfig):
         from lerobot_adamanip.evaluation.log import new_run_id
         from lerobot_env_adamanip.vector import make_vector_env
 
-        run_id = new_run_id() if self.episode_log else None  # that all of them share in their log
+        run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": self._observes_images(), "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
         return {name: {0: make_vector_env(each, n_envs, use_async_envs)} for name, each in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:
-        """Returns name of a vector environment -> its own options."""
+        """Returns name -> options of each vector environment."""
         return {self.type: {"category": self.category}}
 
     def _observes_images(self) -> bool:
-        """Returns whether pictures are observed; if not, they are removed from the features."""
+        """Returns whether images are observed; otherwise removes them from the features."""
         observed = observes_images(self.observe_images)
         if not observed:
             for name in CAMERAS:
@@ -168,16 +168,16 @@ class AdaManipEnvConfig(EnvConfig):
 
 @dataclass
 class _TurnToOpenEnvConfig(AdaManipEnvConfig):
-    """What turns one way only and opens then."""
+    """Object that turns in one hidden direction and then opens."""
 
-    # Fix the hidden direction for an evaluation: 1, -1, or leave it to the draw.
+    # Hidden direction for all episodes: 1 or -1; unset to sample it.
     direction: int | None = hidden_value()
 
 
 @EnvConfig.register_subclass("adamanip_bottle")
 @dataclass
 class AdaManipBottleEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a bottle's cap, nobody knows which way and how far, and lift it."""
+    """Turn a bottle's cap, in a hidden direction and by a hidden angle, and lift it."""
 
     category: ClassVar[str] = "bottle"
 
@@ -185,7 +185,7 @@ class AdaManipBottleEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_pen")
 @dataclass
 class AdaManipPenEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a pen's cap, nobody knows which way and how far, and lift it."""
+    """Turn a pen's cap, in a hidden direction and by a hidden angle, and lift it."""
 
     category: ClassVar[str] = "pen"
 
@@ -193,7 +193,7 @@ class AdaManipPenEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_pressure_cooker")
 @dataclass
 class AdaManipPressureCookerEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a pressure cooker's lid by its handle, nobody knows which way and how far, and lift it."""
+    """Turn a pressure cooker's lid by its handle, in a hidden direction and by a hidden angle, and lift it."""
 
     category: ClassVar[str] = "pressure_cooker"
 
@@ -201,7 +201,7 @@ class AdaManipPressureCookerEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_coffee_maker")
 @dataclass
 class AdaManipCoffeeMakerEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a portafilter by its handle, nobody knows which way and how far, and lower it."""
+    """Turn a portafilter by its handle, in a hidden direction and by a hidden angle, and lower it."""
 
     category: ClassVar[str] = "coffee_maker"
 
@@ -209,29 +209,29 @@ class AdaManipCoffeeMakerEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_safe")
 @dataclass
 class AdaManipSafeEnvConfig(AdaManipEnvConfig):
-    """Open a safe that may be locked, by a knob that turns either way."""
+    """Open a safe that may be locked; a knob that turns in either direction unlocks it."""
 
     category: ClassVar[str] = "safe"
 
-    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
+    # Hidden lock for all episodes: true or false; unset to sample it.
     locked: bool | None = hidden_value()
 
 
 @EnvConfig.register_subclass("adamanip_microwave")
 @dataclass
 class AdaManipMicrowaveEnvConfig(AdaManipEnvConfig):
-    """Open a microwave that may be locked, by a button that releases its door."""
+    """Open a microwave that may be locked; a button releases its door."""
 
     category: ClassVar[str] = "microwave"
 
-    # Fix the hidden lock for an evaluation of one half: true, false, or leave it to the draw.
+    # Hidden lock for all episodes: true or false; unset to sample it.
     locked: bool | None = hidden_value()
 
 
 @EnvConfig.register_subclass("adamanip_window")
 @dataclass
 class AdaManipWindowEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a window's handle, nobody knows which way and how far, and pull the sash open."""
+    """Turn a window's handle, in a hidden direction and by a hidden angle, and pull the sash open."""
 
     category: ClassVar[str] = "window"
 
@@ -239,7 +239,7 @@ class AdaManipWindowEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_door")
 @dataclass
 class AdaManipDoorEnvConfig(_TurnToOpenEnvConfig):
-    """Turn a door's lever, nobody knows which way and how far, and pull the leaf open."""
+    """Turn a door's lever, in a hidden direction and by a hidden angle, and pull the leaf open."""
 
     category: ClassVar[str] = "door"
 
@@ -247,29 +247,29 @@ class AdaManipDoorEnvConfig(_TurnToOpenEnvConfig):
 @EnvConfig.register_subclass("adamanip_lamp")
 @dataclass
 class AdaManipLampEnvConfig(AdaManipEnvConfig):
-    """Switch on a lamp by a button, or by a knob that looks the same."""
+    """Switch on a lamp by a button or a knob, which look the same."""
 
     category: ClassVar[str] = "lamp"
 
-    # Fix the hidden mode for an evaluation: 0 push, 1 turn +, 2 turn -, or leave it to the draw.
+    # Hidden mode for all episodes: 0 push, 1 turn +, 2 turn -; unset to sample it.
     mode: int | None = hidden_value()
 
 
 @EnvConfig.register_subclass("adamanip")
 @dataclass
 class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
-    """One vector environment per category; ``lerobot-eval`` reports each, and all together.
+    """One vector environment per category; ``lerobot-eval`` reports each category and their total.
 
-    A category's simulators start when its turn comes and end after it, so the suite needs no more memory than one.
+    The simulators of a category run only during its evaluation, so the suite needs no more memory than one category.
     """
 
     category: ClassVar[str] = ALL
 
-    # Which categories: names separated by commas, or all.
+    # Categories: names separated by commas, or all.
     categories: str = ALL
 
     def chosen(self) -> tuple[str, ...]:
-        """Returns the names of the categories; raises `ConfigurationError` for one that there is not."""
+        """Returns the category names; raises `ConfigurationError` for an unknown one."""
         if self.categories == ALL:
             return tuple(CATEGORIES)
         names = tuple(name.strip() for name in self.categories.split(",") if name.strip())
@@ -283,5 +283,5 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
         return names
 
     def _groups(self) -> dict[str, dict[str, Any]]:
-        """One seed is another scene in each category."""
+        """Returns name -> options of each category; a seed gives another scene in each."""
         return {name: {"category": name, "seed_offset": category_offset(name)} for name in self.chosen()}

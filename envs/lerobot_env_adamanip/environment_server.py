@@ -1,4 +1,4 @@
-"""Environments for LeRobot's environment server: ``create_adamanip_envs``. Imports nothing of LeRobot."""
+"""Environments for LeRobot's environment server: ``create_adamanip_envs``. Does not import LeRobot."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FlatCloud
 
 PREVIEW = "preview"
-"""Camera of pictures that only people see: without a Vulkan device they are shaded shapes, unknown to policies."""
+"""Camera whose images are for people only: shaded shapes without a Vulkan device, and unknown to policies."""
 
 
 class ServedEnv(FlatCloud):
-    """A `KeyframeEnv` with a picture in every observation: the server shows only observed ones.
+    """A `KeyframeEnv` with an image in every observation, because the server shows only observed images.
 
-    Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as datasets have it, and ``pixels``:
-        ``front`` (H, W, 3) where images are observed, else `PREVIEW`, rendered or shaded.
+    Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as in datasets, and ``pixels``:
+        ``front`` (H, W, 3) if images are observed, otherwise `PREVIEW`, rendered or shaded.
 
     Args:
-        options: of the environment.
+        options: options of the environment.
     """
 
     def __init__(self, options: EnvironmentOptions) -> None:
         env = KeyframeEnv(options=options)
         super().__init__(env)
-        # The server reads these of the outermost object.
+        # The server reads these attributes of the outermost object.
         self.task, self.task_description = env.task, env.task_description
         self._max_episode_steps = env.max_key_frames
         size, seen = options.image_size, self.observation_space
@@ -42,7 +42,7 @@ class ServedEnv(FlatCloud):
         self.observation_space = gym.spaces.Dict({"pixels": pixels, **seen})
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """Adds the picture, and flattens the cloud."""
+        """Adds the image and flattens the cloud."""
         seen = super().observation(observation)
         return seen if "pixels" in seen else {**seen, "pixels": {PREVIEW: self.env.render()}}
 
@@ -50,16 +50,16 @@ class ServedEnv(FlatCloud):
 def create_adamanip_envs(
     task: str, n_envs: int, env_cls: Callable[[Sequence[Callable[[], ServedEnv]]], Any], **options: Any
 ) -> dict[str, dict[int, Any]]:
-    """Returns ``{category: {0: env_cls(functions)}}``; no simulator starts before a world's first reset.
+    """Returns ``{category: {0: env_cls(functions)}}``; simulators start with the first reset.
 
     Args:
-        task: a category; several with commas; or ``all``.
-        n_envs: worlds of each category at once.
-        env_cls: is given a function for each world, which makes its `ServedEnv`.
-        options: of `EnvironmentOptions` by name; ``observe_images`` is off unless given.
+        task: one category, several separated by commas, or ``all``.
+        n_envs: number of parallel environments per category.
+        env_cls: vector environment class; takes one function per environment, which creates its `ServedEnv`.
+        options: fields of `EnvironmentOptions` by name; ``observe_images`` defaults to False.
 
     Raises:
-        ConfigurationError: there is no such category or option, or a value cannot work.
+        ConfigurationError: a category or option does not exist, or a value is invalid.
     """
     require_known(options)
     names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]

@@ -1,4 +1,4 @@
-"""Labels, records and logs of episodes. Nothing here reaches an observation."""
+"""Labels, records and logs of episodes; they never enter an observation."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ if TYPE_CHECKING:  # the simulator is imported at the first reset
 
 
 class EpisodeMonitor:
-    """Labels and counts the key frames of one episode, whose ``task`` has just been reset.
+    """Labels and counts the key frames of one episode, right after a reset of ``task``.
 
-    ``success`` holds once a joint has been beyond its goal at the end of a key frame. ``given_seed`` is the
-    evaluation's, ``seed`` the scene's.
+    ``success`` stays True once a joint is beyond its goal at the end of a key frame. ``given_seed`` is the
+    evaluation's seed, ``seed`` the scene's.
     """
 
     def __init__(
@@ -45,11 +45,11 @@ class EpisodeMonitor:
 
     @property
     def labels(self) -> KeyFrameLabels:
-        """What the latest key frame tried."""
+        """Labels of the latest key frame."""
         return self._labeler.labels
 
     def after_key_frame(self) -> bool:
-        """Counts and labels a key frame that has ended. Returns whether the episode has succeeded."""
+        """Counts and labels a finished key frame. Returns whether the episode has succeeded."""
         self.key_frames += 1
         goal, gripper = self._task.goal
         self._labeler.after_key_frame(goal, gripper, self._task.feedback, self._task.joint_positions())
@@ -82,14 +82,14 @@ class EpisodeMonitor:
 
 
 class EpisodeLog:
-    """The log of one environment, which numbers the evaluations of a run.
+    """Log of one environment, which numbers the evaluations of a run.
 
-    ``lerobot-train`` evaluates the same scenes repeatedly: the same episode again begins the next evaluation.
+    ``lerobot-train`` evaluates the same scenes repeatedly; a repeated episode marks the next evaluation.
 
     Args:
-        path: file that other environments may append to as well.
-        seeds: half-open range of the given seeds that are logged; all if left out. The last batch of an evaluation
-            runs surplus episodes, which LeRobot does not count.
+        path: log file; other environments may append to it too.
+        seeds: half-open range of given seeds to log; None for all. The last batch of an evaluation runs surplus
+            episodes, which LeRobot does not count.
     """
 
     def __init__(self, path: Path, seeds: tuple[int, int] | None = None) -> None:
@@ -98,7 +98,7 @@ class EpisodeLog:
         self._logged: set[tuple[object, ...]] = set()
 
     def append(self, record: EpisodeRecord) -> None:
-        """Appends an ended episode, unless its given seed is not to be logged."""
+        """Appends an ended episode, unless its given seed is outside the range."""
         if self._seeds is not None and record.given_seed not in self._seeds:
             return
         if record.identity in self._logged:

@@ -1,4 +1,4 @@
-"""Imported for its effects by the process that workers are forked from: simulator and fingerprint are there then."""
+"""Preloads simulator and fingerprint in the process from which workers are forked; imported for this effect."""
 
 from lerobot_env_adamanip.fingerprint import code_fingerprint
 from lerobot_env_adamanip.simulator import require_simulator

@@ -1,4 +1,4 @@
-"""The environment that LeRobot uses: one step is one key frame."""
+"""Environment for LeRobot: one step is one key frame."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ if TYPE_CHECKING:  # the simulator is imported at the first reset
 
 Observation = dict[str, Any]
 SCENE_TRIES = 4
-"""Scenes that a reset tries before it fails: the seed's own, and others that follow from it."""
+"""Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed."""
 _logger = logging.getLogger(__name__)
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
-    """AdaManip at key frames. The simulator starts with the first reset.
+    """AdaManip environment with key frames as steps. The simulator starts with the first reset.
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) unless ``observe_images`` is off. Reset and step info hold ``is_success`` (bool) and nothing hidden.
-    Reward: 1 on the key frame that succeeds. An episode ends there, or after ``max_key_frames``; later steps return
-        observations, no reward, and leave the episode's record as it was.
+        (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden state.
+    Reward: 1 at the key frame that succeeds. The episode ends there, or after ``max_key_frames``. Later steps return
+        observations without reward and do not change the episode's record.
 
     Implements `lerobot_adamanip.episode.rollout.SimulatedEnvironment`.
 
@@ -54,10 +54,10 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         values: ... or some of them by name, see `EnvironmentOptions`.
 
     Raises:
-        ConfigurationError: there is no such option, or a value cannot work.
+        ConfigurationError: an option does not exist, or a value is invalid.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium declares it so)
+    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
 
     def __init__(
         self, category: str | None = None, *, options: EnvironmentOptions | None = None, **values: Any
@@ -69,7 +69,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
         self.render_mode = "rgb_array"
-        self._max_episode_steps = self.options.max_key_frames  # LeRobot reads it under this name
+        self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
@@ -84,23 +84,23 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Starts an episode. ``seed`` decides object, poses and hidden state; equal seeds give equal episodes.
+        """Starts an episode. ``seed`` determines object, poses and hidden state; equal seeds give equal episodes.
 
-        A seed is mapped into the environment's split. If the arm cannot reach what it draws, scenes that follow from
-        the seed are tried, and the log says so.
+        The seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
+        the seed are tried; the log records this.
 
-        Options: ``object_id`` chooses the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
+        Options: ``object_id`` selects the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
 
         Raises:
-            ConfigurationError: no such object or hidden value.
-            UnreachableError: the arm reaches the part in none of the scenes.
+            ConfigurationError: the object or hidden value does not exist.
+            UnreachableError: the arm cannot reach the part in any of the scenes.
         """
         super().reset(seed=seed)
         given = seed if seed is not None else int(self.np_random.integers(2**31))
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
         chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
-        self._monitor = self._record = self._image = None  # after a reset that fails there is no episode
+        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
             sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
@@ -108,14 +108,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self.observe(), {"is_success": False}
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Drives the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
+        """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         had_succeeded = self._episode().success
         success, truncated = self.drive(action)
         reward = float(success and not had_succeeded)
         return self.observe(), reward, success, truncated, {"is_success": success}
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """As `step` without an observation: returns whether the task is done, and whether key frames are used up."""
+        """Runs `step` without an observation; returns whether the task is done, and whether key frames are used up."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
         self._image = None
@@ -128,7 +128,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return success, truncated
 
     def observe(self) -> Observation:
-        """Returns the observation of this moment."""
+        """Returns the present observation."""
         seen = self._running().observe(image=self.options.observe_images)
         self._image = seen.images.get(FRONT)
         observation: Observation = {
@@ -139,9 +139,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {**observation, "pixels": seen.images} if seen.images else observation
 
     def render(self) -> NDArray[np.uint8]:
-        """Returns the front camera's picture (H, W, 3) of this moment; black before the first episode.
+        """Returns the front camera's present image (H, W, 3); black before the first episode.
 
-        Without a Vulkan device it shows shaded shapes without their colours, and a warning says so.
+        Without a Vulkan device it shows shaded shapes without colours, with a warning.
         """
         size = self.options.image_size
         if self._image is None:
@@ -168,17 +168,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     @property
     def max_key_frames(self) -> int:
-        """Key frames per episode at most."""
+        """Maximum key frames per episode."""
         return self._max_episode_steps
 
     @property
     def feedback(self) -> Feedback:
-        """What the arm felt at the latest key frame."""
+        """Feedback of the latest key frame."""
         return self._running().feedback
 
     @property
     def labels(self) -> KeyFrameLabels:
-        """What the latest key frame tried, and its result: not for policies or experts."""
+        """Labels of the latest key frame; not for policies or experts."""
         return self._episode().labels
 
     @property
@@ -187,45 +187,45 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._running().placement.annotations
 
     def part_positions(self) -> dict[str, float]:
-        """Returns the object's joint positions now [rad or m]."""
+        """Returns the object's present joint positions [rad or m]."""
         return self._running().joint_positions()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
-        """Names of the object's joints in the order of `labels`: the one that opens first."""
+        """Names of the object's joints in the order of `labels`: the opening joint first."""
         return self._running().mechanism.joints
 
     def joints(self) -> NDArray[np.float32]:
-        """Returns the positions of all joints, (13,), see `schema.JOINT_NAMES`: for records."""
+        """Returns the positions of all joints, (13,), see `schema.JOINT_NAMES`; for records."""
         return self._running().views.joints()
 
     def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
-        """Returns each camera's picture (H, W, 3) with all ``joints`` (13,) as given, at rest; raises `SimulatorError`.
+        """Returns each camera's image (H, W, 3) with all joints at ``joints`` (13,), at rest; raises `SimulatorError`.
 
-        The episode cannot be continued after that.
+        The episode cannot continue afterwards.
         """
         views = self._running().views
         views.set_joints(joints)
         return {name: views.image(name) for name in CAMERAS}
 
     def fingerprint(self) -> dict[str, str]:
-        """Returns hashes of the code that decides episodes, versions, and what makes observations.
+        """Returns hashes of the code that affects episodes, versions, and sources of observations.
 
-        Keys: those of `code_fingerprint`, ``versions``, ``renderer``. Starts no simulator.
+        Keys: those of `code_fingerprint`, ``versions``, ``renderer``. Does not start the simulator.
         """
         installed = " ".join(f"{name}={version}" for name, version in versions().items())
         return {**code_fingerprint(), "versions": installed, "renderer": sensors_name(self.options)}
 
     def hidden_state(self) -> dict[str, Any]:
-        """Returns the hidden state: for the static expert and records only."""
+        """Returns the hidden state, for the static expert and records only."""
         return self._running().hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns the record of the episode until its end, JSON-able; see `EpisodeRecord`."""
+        """Returns the record of the episode up to its end, JSON-serialisable; see `EpisodeRecord`."""
         return (self._record or self._episode().record()).to_json()
 
     def camera_parameters(self) -> dict[str, Any]:
-        """Returns the front camera's calibration, JSON-able; see `sim.camera.camera_parameters`."""
+        """Returns the front camera's calibration, JSON-serialisable; see `sim.camera.camera_parameters`."""
         return self._running().views.camera_parameters()
 
     # Inside -----------------------------------------------------------------------------------------------------
@@ -238,12 +238,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 **{name: getattr(self.options, name) for name in (*shared, "render_backend")},
                 hidden_overrides=dict(self.options.hidden_overrides),
                 depth_size=depth_size(self.num_points),
-                shader="minimal",  # without a GPU a picture takes three quarters of what ManiSkill's default takes
+                shader="minimal",  # three quarters of the time of ManiSkill's default, without a GPU
             )
         return self._sim
 
     def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
-        """Resets the simulator to a scene that the arm can reach; returns its seed."""
+        """Resets the simulator to a reachable scene; returns its seed."""
         first, attempt = seed, 0
         while True:
             try:
@@ -279,7 +279,7 @@ def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
 
 
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
-    """Returns an environment's log and the provenance of its episodes. Without a log they belong to no evaluation."""
+    """Returns an environment's log and its episodes' provenance. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
     run_id = None if log is None else options.run_id or new_run_id()
     return log, Provenance(environment_fingerprint(), __version__, options.mechanism_rules, run_id, options.run_label)

@@ -1,4 +1,4 @@
-"""Builds environments for workers, in processes of their own."""
+"""Factory of environments for worker processes."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 
 
 def make_keyframe_env(options: EnvironmentOptions) -> SimulatedEnvironment:
-    """Returns a `KeyframeEnv` of options. A function of a module, so that spawned workers can be given it.
+    """Returns a `KeyframeEnv` with these options. Module-level, so that it can be sent to spawned workers.
 
-    The simulator is imported here: what a command is given wrongly is found before.
+    The simulator is imported here, after the command has checked its options.
     """
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

@@ -1,4 +1,4 @@
-"""Starting the simulator. Importing this starts and imports none."""
+"""Start of the simulator. Importing this module does not import the simulator."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def require_simulator() -> None:
 
 
 def make_task(category: str, **options: Any) -> AdaManipTask:
-    """Builds the ManiSkill task of a category, without observations of its own.
+    """Builds the ManiSkill task of a category, without ManiSkill's own observations.
 
     Raises:
         SimulatorError: the simulator is not installed.
@@ -36,7 +36,7 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
 
 @functools.cache
 def placement_check(poses: str = "randomized") -> PlacementCheck:
-    """Returns a function that says why an object cannot be placed before the arm, an empty text if it can.
+    """Returns a function that returns why an object cannot be placed in front of the arm, or an empty text.
 
     Args:
         poses: see `lerobot_adamanip.episode.options.POSES`.
@@ -52,7 +52,7 @@ def placement_check(poses: str = "randomized") -> PlacementCheck:
 
 
 def sensors_name(options: EnvironmentOptions) -> str:
-    """Returns what makes observations: embreex and its version, the renderer's devices, or both."""
+    """Returns the sources of observations: embreex and its version, the renderer's devices, or both."""
     if importlib.util.find_spec("sapien") is None or importlib.util.find_spec("mani_skill") is None:
         require_simulator()
     rays = resolve_cloud_source(options.cloud_source) == "raycast"

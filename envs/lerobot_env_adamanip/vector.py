@@ -1,6 +1,6 @@
-"""Vector environments for LeRobot's rollouts: ended episodes wait, processes start late and may not hang.
+"""Vector environments for LeRobot's rollouts: ended episodes wait, processes start lazily, hanging ones raise errors.
 
-LeRobot 0.6.1 has similar ones under private names, which may change.
+LeRobot 0.6.1 has similar ones under private names.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _log = logging.getLogger(__name__)
 Make = Callable[[], gym.Env[Any, Any]]
 Transition = tuple[Any, float, bool, bool, dict[str, Any]]
 WORKER_TIMEOUT_S = 600.0
-"""Time limit of an answer: a reset takes seconds, the first one a minute."""
+"""Time limit of an answer [s]: a reset takes seconds, the first one a minute."""
 
 
 class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
-    """Observes the cloud as datasets have it, (3 N,): LeRobot's policies normalise it by a dataset's statistics."""
+    """Flattens the point cloud to (3 N,), as in datasets: LeRobot's policies normalise it by dataset statistics."""
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         super().__init__(env)
@@ -37,15 +37,15 @@ class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
         )
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
-        """(N, 3) -> (3 N,)."""
+        """Flattens (N, 3) to (3 N,)."""
         return {**observation, "point_cloud": observation["point_cloud"].reshape(-1)}
 
 
 class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
-    """Repeats an ended episode's last observation, with no reward, until a rollout starts the next.
+    """Repeats an ended episode's last observation, without reward, until a rollout starts the next episode.
 
-    LeRobot steps a batch until its slowest environment has ended. Gymnasium resets an ended one with neither seed nor
-    options; a rollout gives one of them.
+    LeRobot steps a batch until its slowest environment has ended. Gymnasium resets an ended one without seed and
+    options; a rollout passes one of them.
     """
 
     def __init__(self, env: gym.Env[Any, Any]) -> None:
@@ -53,14 +53,14 @@ class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
         self._last: Transition | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode if seed or options are given; else returns the ended one's last observation."""
+        """Starts an episode if seed or options are given; otherwise returns the last observation."""
         if self._last is not None and seed is None and not options:
             return self._last[0], self._last[4]
         self._last = None
         return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> Transition:
-        """Steps, or repeats the end."""
+        """Steps the environment, or repeats the last observation after the end."""
         if self._last is not None:
             return self._last
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -70,9 +70,9 @@ class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class LazyAsyncVectorEnv:
-    """A process per environment, started at first use and ended by `close`; it can be used again after that.
+    """Runs one process per environment, started at first use and ended by `close`; can be used again afterwards.
 
-    A suite therefore holds the processes of one category at a time. ``makers`` are picklable by cloudpickle.
+    A suite therefore runs the processes of one category at a time. ``makers`` must be picklable by cloudpickle.
     """
 
     def __init__(self, makers: Sequence[Make]) -> None:
@@ -80,7 +80,7 @@ class LazyAsyncVectorEnv:
         self._makers = list(makers)
         self._env: gym.vector.AsyncVectorEnv | None = None
         self.num_envs = len(self._makers)
-        first = self._makers[0]()  # starts no simulator
+        first = self._makers[0]()  # does not start the simulator
         self.single_observation_space = self.observation_space = first.observation_space
         self.single_action_space = self.action_space = first.action_space
         self.metadata = first.metadata
@@ -88,19 +88,19 @@ class LazyAsyncVectorEnv:
 
     @property
     def unwrapped(self) -> LazyAsyncVectorEnv:
-        """This."""
+        """Returns itself."""
         return self
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """As `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process has hung."""
+        """Resets like `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process hangs."""
         env = self._started()
         env.reset_async(seed=seed, options=options)
         return self._answer(lambda: env.reset_wait(timeout=WORKER_TIMEOUT_S))
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """As `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process has hung."""
+        """Steps like `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process hangs."""
         env = self._started()
         env.step_async(actions)
         return self._answer(lambda: env.step_wait(timeout=WORKER_TIMEOUT_S))
@@ -148,7 +148,7 @@ type VectorEnv = gym.vector.VectorEnv[Any, Any, Any] | LazyAsyncVectorEnv
 
 
 def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
-    """Returns ``n_envs`` equal environments as one, clouds (3 N,); an ended one waits until the next rollout."""
+    """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next rollout."""
     if n_envs < 1:
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
@@ -159,7 +159,7 @@ def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bo
         "" if options.split == "test" else " (for a test result: --env.split=test)",
     )
     functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
-    # More than one simulator in a process would render one after the other; a process each uses every core.
+    # Simulators in one process would render one after the other; separate processes use all cores.
     if use_async_envs and n_envs > 1:
         return LazyAsyncVectorEnv(functions)
     return gym.vector.SyncVectorEnv(

@@ -1,1 +1,1 @@
-"""Everything that imports SAPIEN or ManiSkill."""
+"""All modules that import SAPIEN or ManiSkill."""

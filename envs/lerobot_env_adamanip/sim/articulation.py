@@ -1,4 +1,4 @@
-"""From an object's data to a SAPIEN articulation."""
+"""Conversion of an object's data to a SAPIEN articulation."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from lerobot_adamanip.objects import ArticulatedObject, Joint, Shape
 from lerobot_env_adamanip.sim.mesh_files import mesh_file
 
 FRICTION = 1.2
-"""Of objects; the gripper's pads bring 2.0, and PhysX takes the mean of a pair."""
+"""Friction of objects; the gripper's pads have 2.0, and PhysX uses the mean of a pair."""
 NO_SELF_COLLISION = 1 << 27
-"""Shapes that share a bit of SAPIEN's third collision group pass through each other: an object's links, and the plinth.
+"""Bit of SAPIEN's third collision group: shapes that share it do not collide. Set for an object's links and plinth.
 
-Those of a generated object never meet, only near each other, which costs contacts that carry nothing; an external
-asset's meshes often overlap a little, and must not jam."""
+Links of a generated object are close but never touch, and contacts between them would only cost time. Meshes of an
+external asset often overlap a little and must not jam."""
 
 
 def sapien_pose(matrix: NDArray[Any]) -> sapien.Pose:
-    """(4, 4) -> sapien.Pose."""
+    """Converts a (4, 4) matrix to sapien.Pose."""
     return sapien.Pose(p=matrix[:3, 3], q=quaternion_from_matrix(matrix[:3, :3]))
 
 
@@ -54,11 +54,11 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
 
 
 def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
-    """A spring is a drive towards its rest position; it keeps the joint's damping."""
+    """Sets springs as drives towards their rest positions; keeps the joints' damping."""
     for active in articulation._objs[0].active_joints:
         joint = obj.joint(active.name.rsplit("_", 1)[-1])
         if joint.kind == "revolute" and joint.stiffness:
-            # SAPIEN's builder leaves every joint at 0.05, under which a return spring comes to rest askew.
+            # SAPIEN's builder sets the friction of joints to 0.05, at which a return spring stops before its rest.
             active.set_friction(0.0)
         if joint.stiffness:
             active.set_drive_properties(joint.stiffness, joint.damping)
@@ -66,7 +66,7 @@ def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
 
 
 def _set_joint(link: Any, joint: Joint) -> None:
-    """SAPIEN turns (and slides) about the x axis of its joint frames, so both frames get x along the joint's axis."""
+    """Sets a joint. SAPIEN's joints move about the x axis of their frames, so both frames get x along the axis."""
     link.set_joint_name(joint.name)
     align = rotation_with_x_along(joint.axis)
     in_parent = np.eye(4)
@@ -79,7 +79,7 @@ def _set_joint(link: Any, joint: Joint) -> None:
 
 
 def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[float]]:
-    """Centre of mass and principal inertia of the box around a link's shapes: good enough, and never singular."""
+    """Returns centre of mass and principal inertia of the box around a link's shapes: approximate, never singular."""
     solid = [shape.pose_in_link[:3, 3] for shape in shapes if shape.collides]
     centers = np.stack(solid or [np.zeros(3)])
     lower, upper = centers.min(0) - 0.02, centers.max(0) + 0.02
@@ -96,7 +96,7 @@ def _inertia(mass: float, shapes: tuple[Shape, ...]) -> tuple[sapien.Pose, list[
 
 
 def add_visual(link: Any, shape: Shape) -> None:
-    """Lets a builder's link or actor look like ``shape``; fails where nothing can render."""
+    """Adds the look of ``shape`` to a builder's link or actor; fails if nothing can render."""
     material = sapien.render.RenderMaterial()
     material.set_base_color([*shape.material.color, 1.0])
     material.set_roughness(shape.material.roughness)
@@ -108,6 +108,6 @@ def _add(link: Any, what: str, of_mesh: str, shape: Shape, material: Any) -> Non
     pose = sapien_pose(shape.pose_in_link)
     if shape.vertices is not None:
         getattr(link, f"add_{of_mesh}")(str(mesh_file(shape)), pose=pose, material=material)
-    else:  # a box has half extents; a cylinder and a capsule a radius and half a length
+    else:  # half extents of a box; radius and half length of a cylinder or capsule
         size = (list(shape.size),) if shape.kind == "box" else shape.size
         getattr(link, f"add_{shape.kind}_{what}")(pose, *size, material)

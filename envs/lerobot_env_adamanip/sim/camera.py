@@ -1,4 +1,4 @@
-"""Pinhole cameras: rays, projections and calibration. No renderer is used."""
+"""Pinhole cameras: rays, projections and calibration, without a renderer."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 Pose = NDArray[np.float64]
 OPENCV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])
 GL_FROM_BODY = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
-"""SAPIEN's camera pose is that of a body that looks along x, z up."""
+"""Transform between an OpenGL camera and SAPIEN's camera body, which looks along x with z up."""
 _BEHIND = 1e-3
-"""Points nearer to the camera's plane than this cannot be projected [m]."""
+"""Minimum depth of points for projection [m]."""
 _EDGE = 0.01
-"""Margin around a picture's edge [m]."""
+"""Margin around an image's edge [m]."""
 
 
 @dataclass(frozen=True)
 class PinholeCamera:
-    """A square camera with its principal point in the middle; x right, y up, it looks along -z.
+    """A square camera with a centred principal point; x right, y up, looking along -z.
 
     It has a pose (4, 4) in the world, ``size`` pixels along a side, and a focal length [px].
     """
@@ -37,23 +37,23 @@ class PinholeCamera:
 
     @functools.cached_property
     def world_to_camera(self) -> Pose:
-        """(4, 4)."""
+        """Transform (4, 4) from world to camera frame."""
         inverse: Pose = np.linalg.inv(self.pose).astype(np.float64, copy=False)
         return inverse
 
     def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
-        """Returns the directions (size^2, 3) of all pixels in scan order, camera frame; of depth 1 each.
+        """Returns the directions (size^2, 3) of all pixels in scan order, in the camera frame, with depth 1.
 
-        ``beside`` is how far right and below the pixel's middle they go [px].
+        ``beside`` is the offset to the right of and below the pixel's middle [px].
         """
         across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
         columns, rows = np.meshgrid(across, -down)
         return np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -1.0)], axis=1)
 
     def may_see(self, points: NDArray[np.float64], pose: Pose) -> bool:
-        """Returns False if a body lies beyond one of the picture's edges.
+        """Returns False if a body lies completely outside of the image.
 
-        ``points`` (N, 3) are corners of its convex hull in its own frame [m], ``pose`` (4, 4) is its own in the world.
+        ``points`` (N, 3) are corners of its convex hull in its own frame [m], ``pose`` (4, 4) is its pose in the world.
         """
         in_camera = self.world_to_camera @ pose
         x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
@@ -62,12 +62,12 @@ class PinholeCamera:
         return not any(side.all() for side in beside)
 
     def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Returns the pixels that may see each of M boxes: (M, 4) of first row, first column, end row, end column.
+        """Returns the pixels that may see each of M boxes: (M, 4) with first row, first column, end row, end column.
 
-        The boxes are given by their eight corners, one box after the other: (8 M, 3) [m], camera frame.
+        The boxes are given by their eight corners, box by box: (8 M, 3) [m], camera frame.
         """
         depth = -corners_in_camera[:, 2]
-        # One pixel more on each side: rays pass through the middles of pixels.
+        # One more pixel on each side, because rays pass through the middles of pixels.
         scale = self.focal / np.maximum(depth, _BEHIND)
         rows = (self.size / 2 - scale * corners_in_camera[:, 1]).reshape(-1, 8)
         columns = (self.size / 2 + scale * corners_in_camera[:, 0]).reshape(-1, 8)
@@ -77,19 +77,19 @@ class PinholeCamera:
 
 
 def pinhole(config: CameraConfig) -> PinholeCamera:
-    """Returns the camera that ManiSkill makes of a configuration."""
+    """Returns ManiSkill's camera for a configuration."""
     pose = config.pose.sp.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
     return PinholeCamera(pose, config.width, 0.5 * config.width / np.tan(0.5 * config.fov))
 
 
 def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
-    """(M, 3) in a camera's frame -> in the world's, by the camera's pose (4, 4). All clouds are rounded alike."""
+    """Transforms points (M, 3) from a camera's frame to the world by its pose (4, 4). Rounds all clouds alike."""
     rotation, position = camera_in_world[:3, :3].astype(np.float32), camera_in_world[:3, 3].astype(np.float32)
     return points @ rotation.T + position
 
 
 def camera_parameters(camera: PinholeCamera) -> dict[str, Any]:
-    """Returns a camera's calibration, JSON-able; the robot's base is the world's origin.
+    """Returns a camera's calibration as a JSON-serialisable dictionary; the robot's base is the world's origin.
 
     Keys: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the robot's base frame, OpenCV axes [m], ``width``
     and ``height`` [px].

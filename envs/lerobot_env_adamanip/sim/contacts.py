@@ -1,4 +1,4 @@
-"""Touch: which joints of the object the hand has its fingers on, and which of them it pushes."""
+"""Contacts: detects the object's joints that the hand touches, and those that it pushes."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from lerobot_adamanip.contract.rotations import rotation_vector_from_matrix
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.mechanism_driver import joint_name
 
-if TYPE_CHECKING:  # so that it loads, and is tested, without a simulator
+if TYPE_CHECKING:  # so that it can be imported and tested without a simulator
     import sapien
 
 Array = NDArray[np.float64]
 
 HAND_LINKS = ("hand", "leftfinger", "rightfinger", "leftfinger_pad", "rightfinger_pad")
 TOUCH_FORCE = 1.0
-"""A contact weaker than this is a brush [N]."""
+"""Minimum force of a contact [N]; a weaker one does not count."""
 PUSH_WAY, PUSH_TURN = 0.003, 0.03
-"""A push goes farther than this after the hand has touched the part [m, rad]: as far as a motion that counts."""
+"""Minimum travel of a push after the first touch [m, rad]: as far as a motion that counts."""
 PUSH_LAG, PUSH_TURN_LAG = 0.003, 0.015
-"""A push is held back by more than this [m, rad]: half of what ends a motion as a stall, see `MotionLimits`."""
+"""Minimum lag of a pushing hand [m, rad]: half of the lag that ends a motion as a stall, see `MotionLimits`."""
 PUSH_SHARE = 0.7
-"""A push goes at least this much of its way where the part would go: what goes elsewhere is on its way there."""
+"""Minimum share of a push along the part's motion; a hand that moves elsewhere only passes by."""
 NO_ROOM = 1e-3
-"""A joint that is nearer than this to its nominal limit does not move farther that way [rad or m]."""
+"""Distance to its nominal limit below which a joint cannot move farther in that direction [rad or m]."""
 
 
 @dataclass
 class _Push:
-    """What the contacts that act on one joint come to: sums of forces [N], and of forces times ways [N m].
+    """Sums over the contacts that act on one joint: forces [N], and forces times distances [N m].
 
     Attributes:
-        behind, sent: how far the hand is behind its target, and how far the target has gone since the hand has touched
-            the part, about the joint's axis [rad].
+        behind, sent: lag of the hand behind its target, and travel of the target since the hand's first touch, about
+            the joint's axis [rad].
         net: force along the joint's motion.
-        total: of the forces' sizes.
-        lag: force times the way by which the hand is behind, along the joint's motion.
-        way: force times the way that the target has gone since, likewise.
-        whole: of the forces' sizes times that way, in whatever direction.
+        total: sum of the forces' magnitudes.
+        lag: force times the hand's lag, along the joint's motion.
+        way: force times the target's travel since the first touch, along the joint's motion.
+        whole: force magnitudes times that travel, in any direction.
     """
 
     behind: float
@@ -60,7 +60,7 @@ class _Push:
 
     @property
     def is_meant(self) -> bool:
-        """Whether the hand is sent where the joint would have to move, and is held back by it."""
+        """Whether the target moved along the joint's motion, and the joint held the hand back."""
         sign = 1.0 if self.net > 0 else -1.0
         held_back = self.lag > PUSH_LAG * self.total or sign * self.behind > PUSH_TURN_LAG
         along = self.way > max(PUSH_WAY * self.total, PUSH_SHARE * self.whole)
@@ -68,9 +68,9 @@ class _Push:
 
 
 class HandTouch:
-    """Finds what an arm's hand (`HAND_LINKS`) touches and pushes of a target.
+    """Detects contacts and pushes between an arm's hand (`HAND_LINKS`) and a target.
 
-    The nominal limits of the object's joints are public, the same under every hidden state.
+    The nominal limits of the object's joints are public and equal under every hidden state.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class HandTouch:
         self._touched_at: Array | None = None
 
     def joints(self) -> set[str]:
-        """Returns the joints that carry a link which the hand touches now."""
+        """Returns the joints that carry a link in contact with the hand."""
         touched: set[str] = set()
         for carrying, contact, _ in self._contacts():
             if sum(float(np.linalg.norm(point.impulse)) for point in contact.points) / self._timestep > TOUCH_FORCE:
@@ -98,14 +98,14 @@ class HandTouch:
     def pushed(self, wanted: Array, actual: Array) -> set[str]:
         """Returns the joints that the hand pushes now, in a direction in which they can move.
 
-        A hand pushes a joint if its contacts act along the joint's motion with more than `TOUCH_FORCE`, if it is sent
-        mostly that way after it has touched the part, by more than `PUSH_WAY`, and if it is held back by `PUSH_LAG`. So
-        a hand that grazes a part on its way, is turned aside by it, or leans on it otherwise, pushes nothing.
-        To be called after every tick, since it remembers where the hand was sent when it began to touch.
+        A push has three conditions. The contact force along the joint's motion exceeds `TOUCH_FORCE`. After the first
+        touch, the target moved more than `PUSH_WAY`, mostly along this motion. The hand lags by more than `PUSH_LAG`.
+        A hand that grazes a part, is deflected by it, or leans on it in another direction, pushes nothing. Call this
+        after every tick, because it stores the target at the first touch.
 
         Args:
-            wanted: tool pose (4, 4) that the joint targets stand for.
-            actual: tool pose (4, 4) now.
+            wanted: tool pose (4, 4) of the joint targets.
+            actual: present tool pose (4, 4).
         """
         contacts = list(self._contacts())
         if not contacts:
@@ -129,13 +129,13 @@ class HandTouch:
         return {n for n, push in pushes.items() if push.is_meant and self._room(n, push.net) > NO_ROOM}
 
     def _room(self, name: str, way: float) -> float:
-        """How far a joint's nominal range lets it move in the direction of ``way`` [rad or m]."""
+        """Returns how far a joint's nominal range lets it move in the direction of ``way`` [rad or m]."""
         lower, upper = self._ranges[name]
         position = float(self._target.get_qpos()[list(self._joints).index(name)])
         return upper - position if way > 0 else position - lower
 
     def _contacts(self) -> Iterator[tuple[tuple[str, ...], Any, float]]:
-        """Contacts of the hand with what moves: the joints that carry it, contact, sign of its impulses on the part."""
+        """Yields the hand's contacts with movable links: carrying joints, contact, sign of its impulses on the part."""
         for contact in self._system.get_contacts():
             first, second = (body.entity for body in contact.bodies)
             link, sign = (
@@ -150,9 +150,9 @@ class HandTouch:
 
 
 def _motion(joint: Any, place: Array) -> tuple[Array, Array]:
-    """Returns a joint's axis (3,), zero if it does not turn, and the unit vector in which ``place`` (3,) moves with it.
+    """Returns a joint's axis (3,), zero if prismatic, and the unit vector of ``place``'s (3,) motion with it.
 
-    On the axis of a turning joint the latter is zero.
+    On the axis of a revolute joint the latter is zero.
     """
     pose = joint.global_pose.to_transformation_matrix().astype(np.float64)
     axis = pose[:3, 0]
@@ -164,7 +164,7 @@ def _motion(joint: Any, place: Array) -> tuple[Array, Array]:
 
 
 def _joints_above(link: Any) -> tuple[str, ...]:
-    """Names of the joints between a link and its root."""
+    """Returns the names of the joints between a link and its root."""
     names: list[str] = []
     while link is not None:
         if link.joint.dof:

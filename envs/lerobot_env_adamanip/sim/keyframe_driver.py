@@ -1,4 +1,4 @@
-"""One key frame: drive the arm to a commanded pose until it is there, stalls against something, or time is up."""
+"""Execution of one key frame: moves the arm to a commanded pose until it arrives, stalls or runs out of time."""
 
 from __future__ import annotations
 
@@ -18,25 +18,25 @@ from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics, j
 Array = NDArray[np.float64]
 
 FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
-"""Finger targets [m]. Closed lies past contact, so that the fingers press on what is thin."""
+"""Finger targets [m]. The closed target is beyond contact, so that the fingers press on thin parts."""
 FINGER_HALF = 0.5 * (FINGER_OPEN + FINGER_CLOSED)
-"""A hand sent to less than this is a closed one [m]."""
+"""Finger target below which a hand counts as closed [m]."""
 MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
-"""A goal nearer than this is where the hand is already [m, rad]."""
+"""Distance of a goal below which the hand does not move [m, rad]."""
 
 
 FOLDED = 1.5
-"""A posture with a joint this far from rest folds the arm against itself, and no straight line leads back [rad]."""
+"""Distance of a joint from rest at which the arm is folded and no straight line leads back [rad]."""
 PATH_TOLERANCE, LAST_TOLERANCE = 5e-4, 1e-4
-"""Up to which inverse kinematics goes on, on the way and at its end [m and rad]: what one tick leaves,
-the next makes good."""
+"""Tolerances of inverse kinematics on the way and at its end [m and rad]; the next tick corrects the error of this
+one."""
 LEANING_SPEED = 0.5
-"""An arm that has stalled and whose joints are slower than this leans against something [rad/s]."""
+"""Joint speed below which a stalled arm counts as leaning against something [rad/s]."""
 
 
 @dataclass
 class ArmState:
-    """What the joints tell. Arrays are (7,) but ``fingers`` (2,): [rad], [rad/s], [m]."""
+    """State of the arm's joints. Arrays are (7,), except ``fingers`` (2,): [rad], [rad/s], [m]."""
 
     qpos: Array
     qvel: Array
@@ -44,15 +44,15 @@ class ArmState:
 
 
 class KeyframeDriver:
-    """Turns one (10,) action into control ticks.
+    """Converts one (10,) action into control ticks.
 
     Args:
-        kinematics: of the arm.
+        kinematics: kinematics of the arm.
         read: returns the present `ArmState`.
         tick: advances the simulation by one control step with joint targets (7,), joint velocity targets (7,) and a
             finger target [m].
         control_dt: duration of a tick [s].
-        stiffness: of the joint drives (7,) [N m/rad].
+        stiffness: stiffness of the joint drives (7,) [N m/rad].
         limits: see `MotionLimits`.
     """
 
@@ -72,7 +72,7 @@ class KeyframeDriver:
         self._target: Array = read().qpos.copy()
         self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
-        # Whether this key frame only closes the fingers, or moves a hand that is closed: see `MechanismDriver`.
+        # Whether this key frame only closes the fingers, or moves a closed hand: see `MechanismDriver`.
         self.closing = self.moving_closed = False
         self._leans = False
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
@@ -80,14 +80,14 @@ class KeyframeDriver:
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:
-        """Runs one key frame and returns what was felt.
+        """Runs one key frame and returns its feedback.
 
-        A motion that stalled ends at rest under strain, and that moment is what state, cloud and effort tell, as the
-        external torque of a robot that still leans does; the next key frame begins by giving the strain up. An arm that
-        was stopped on its way, or flung off, is braked first.
+        A stalled motion ends at rest under strain. State, cloud and effort are measured then, like the external torque
+        of a robot that leans against something; the next key frame first releases the strain. An arm that was stopped
+        on its way, or pushed away, is braked first.
 
         Raises:
-            ConfigurationError: the action has the wrong shape, or is not finite.
+            ConfigurationError: the action has the wrong shape or is not finite.
         """
         goal, gripper = self.goal = self._checked(action)
         self._ticks = self._strained = 0
@@ -136,7 +136,7 @@ class KeyframeDriver:
         return FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
 
     def _follow(self, goal: Array) -> Outcome:
-        """Straight line and slerp with a smooth speed profile, from where the arm is."""
+        """Follows a straight line and slerp with a smooth speed profile, from the present pose."""
         start = self.kinematics.tcp_in_base(self._target)
         distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
         angle = angle_between(start[:3, :3], goal[:3, :3])
@@ -161,10 +161,10 @@ class KeyframeDriver:
         return Outcome.REACHED
 
     def _go_round(self, goal: Array) -> Outcome:
-        """Moves in joint space to the posture in which the goal is reached from rest.
+        """Moves in joint space to the goal's posture as reached from rest.
 
-        A straight line may lead the elbow into a corner from which no straight line leads back: from far left, every
-        goal would be out of reach until the next reset. Only an open hand goes round, a closed one may hold something.
+        A straight line may move the elbow into a corner from which no straight line leads back. From far left, every
+        goal would then be unreachable until the next reset. Only an open hand does this; a closed one may hold a part.
         """
         posture = self.kinematics.canonical(goal)
         folded = np.abs(posture.qpos - self.kinematics.rest).max() > FOLDED
@@ -191,7 +191,7 @@ class KeyframeDriver:
         return Outcome.STALLED if far or turned else Outcome.REACHED
 
     def _advance(self, target: Array) -> bool:
-        """One control tick towards ``target``; True once the arm has strained for long enough to give up."""
+        """Runs one control tick towards ``target``; True once the arm has lagged long enough to count as stalled."""
         velocity = (target - self._target) / self._dt
         self._target = target
         self._tick(target, velocity)
@@ -199,32 +199,32 @@ class KeyframeDriver:
         return self._strained >= self.limits.stall_ticks
 
     def _lags(self, target: Array) -> bool:
-        """Whether the tool is farther behind ``target`` than a moving arm's own inertia explains."""
+        """Whether the tool lags ``target`` by more than inertia explains."""
         wanted, actual = self.kinematics.tcp_in_base(target), self.kinematics.tcp_in_base(self._read().qpos)
         x, y, z = (wanted[:3, 3] - actual[:3, 3]).tolist()
         if x * x + y * y + z * z > self.limits.stall_position**2:
             return True
-        # Two rotations apart by an angle: the trace of one's inverse times the other is 1 + 2 cos(angle).
+        # For two rotations at an angle, the trace of one's inverse times the other is 1 + 2 cos(angle).
         alike = float(np.vdot(wanted[:3, :3], actual[:3, :3]))
         return alike < 1.0 + 2.0 * math.cos(self.limits.stall_rotation)
 
     def _relax(self) -> None:
-        """Gives up what could not be reached: a key frame starts from where the arm is, without strain."""
+        """Releases strain: sets the targets to the present joint positions."""
         for _ in range(8):
             self._target = self._read().qpos.copy()
             self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
 
     def _tick(self, target: Array, velocity: Array) -> None:
-        """One control tick; the fingers' target moves no faster than fingers do."""
+        """Runs one control tick; limits the speed of the finger target."""
         step = self.limits.finger_speed * self._dt
         self._finger += float(np.clip(self._finger_target - self._finger, -step, step))
         self._tick_simulation(target, velocity, self._finger)
         self._ticks += 1
 
     def _torque(self, state: ArmState) -> Array:
-        """External joint torque (7,) [N m], as the drives' springs feel it: exact at rest, gravity being balanced.
+        """Returns the external joint torque (7,) [N m] from the drives' springs; exact at rest, as gravity is balanced.
 
-        The drives' damping is left out on purpose: it answers to the arm's own inertia, and would look like contact.
+        It omits the drives' damping, which reacts to the arm's own inertia and would look like contact.
         """
         return self._stiffness * (self._target - state.qpos)
 
@@ -234,7 +234,7 @@ class KeyframeDriver:
 
 
 def _quintic_seconds(distance: float, speed: float, acceleration: float) -> float:
-    """Duration in which a quintic covers ``distance`` within both peaks: 15/8 d/T and 10/sqrt(3) d/T^2."""
+    """Returns the duration of a quintic over ``distance`` within both peaks: 15/8 d/T and 10/sqrt(3) d/T^2."""
     return float(max(1.875 * distance / speed, np.sqrt(10 / np.sqrt(3) * distance / acceleration)))
 
 

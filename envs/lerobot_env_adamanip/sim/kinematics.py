@@ -1,4 +1,4 @@
-"""The arm: inverse kinematics with joint limits, and what the joints feel. The base frame is the robot's root link."""
+"""Kinematics of the arm: inverse kinematics with joint limits. The base frame is the robot's root link."""
 
 from __future__ import annotations
 
@@ -12,43 +12,43 @@ from scipy.linalg.lapack import dposv
 
 from lerobot_adamanip.contract.rotations import rotation_vector_from_matrix
 
-if TYPE_CHECKING:  # so that the driver and the layout's presets load, and are tested, without a simulator
+if TYPE_CHECKING:  # so that driver and placement presets can be imported and tested without a simulator
     import sapien
 
 Array = NDArray[np.float64]
 
 NUM_ARM_JOINTS = 7
 LEVEL_REST = np.array([1.544, 1.467, -2.540, -2.320, 2.025, 1.976, -0.171])
-"""Hand level and forward at (0.45, 0, 0.74) m with the elbow out to the left, and where spare freedom is pulled to.
+"""Rest posture: hand level and forward at (0.45, 0, 0.74) m, with the elbow to the left.
 
-With the elbow in the vertical plane a level hand is near-singular and the sixth joint at its limit; from this posture
-the whole of x 0.35-0.66, y +-0.18, z 0.60-0.84 m is reached, yawed by +-43 and rolled by +-92 degrees.
+With the elbow in the vertical plane, a level hand is near-singular and the sixth joint at its limit. From this posture
+the arm reaches x 0.35-0.66, y +-0.18, z 0.60-0.84 m, with yaw +-43 and roll +-92 degrees.
 """
 DOWN_REST = np.array([0.0, -0.287, 0.0, -1.376, 0.0, 1.090, np.pi / 4])
-"""Hand pointing down at (0.38, 0, 0.70) m, above what stands on a plinth: for what is held from above.
+"""Rest posture: hand down at (0.38, 0, 0.70) m, above objects on a plinth, for grasps from above.
 
-At x = 0.42 m a hand that points down comes up to 0.74 m, where the arm is stretched.
+At x = 0.42 m the downward hand is limited to a height of 0.74 m, where the arm is stretched.
 """
 HIGH_REST = np.array([0.0, -0.219, 0.0, -1.341, 0.0, 1.122, 0.0])
-"""Hand pointing down at (0.41, 0, 0.69) m, above what stands on a plinth, the last joint in the middle of its range: a
-cap held from above turns by +-2.35 rad, for grasps yawed by up to +-0.5 from there, at x 0.36-0.52, z 0.55-0.70 m."""
+"""Rest posture: hand down at (0.41, 0, 0.69) m, with the last joint in the middle of its range. A cap gripped from
+above turns by +-2.35 rad, for grasps with yaw up to +-0.5 from there, at x 0.36-0.52, z 0.55-0.70 m."""
 LIMIT_MARGIN = 0.02
-"""Kept from every joint limit [rad]."""
+"""Margin to every joint limit [rad]."""
 DAMPING = 1e-4
-"""Of the least squares: what a step gives up where the arm is stretched."""
+"""Damping of the least squares, which shortens steps of a stretched arm."""
 LARGEST_STEP = 0.2
-"""Of one iteration, towards the goal [rad]."""
+"""Maximum step of one iteration towards the goal [rad]."""
 
 
 @dataclass(frozen=True)
 class Pull:
-    """How an iteration draws the spare freedom towards rest.
+    """Pull of the redundant degree of freedom towards rest, per iteration.
 
     Attributes:
-        share: of the way there.
-        largest: of one iteration [rad].
-        steps: iterations that do so. One for each step of a path keeps the motion smooth.
-        settled: a pull smaller than this has found the posture nearest to rest, and was the last [rad].
+        share: fraction of the distance to rest.
+        largest: maximum per iteration [rad].
+        steps: number of iterations with a pull. One per step of a path keeps the motion smooth.
+        settled: pull below which the posture counts as nearest to rest, and pulling ends [rad].
     """
 
     share: float = 0.1
@@ -58,29 +58,29 @@ class Pull:
 
 
 ALONG = Pull()
-"""In a motion."""
+"""For a motion."""
 CANONICAL = Pull(share=0.5, largest=0.2, steps=60, settled=1e-3)
-"""For the posture of a pose, wherever the arm is."""
+"""For the posture of a pose, independent of the arm's present posture."""
 
 
 @dataclass(frozen=True)
 class IKResult:
-    """Joint positions (7,) [rad] and the pose error left: metres and radians."""
+    """Joint positions (7,) [rad] and the remaining pose error: metres and radians."""
 
     qpos: Array
     position_error: float
     rotation_error: float
 
     def within(self, position: float, rotation: float) -> bool:
-        """True if both errors are below the given bounds [m, rad]."""
+        """Whether both errors are below the given bounds [m, rad]."""
         return self.position_error <= position and self.rotation_error <= rotation
 
 
 class ArmKinematics:
     """Forward and inverse kinematics of the Panda by SAPIEN's Pinocchio model.
 
-    SAPIEN's own solver knows neither joint limits nor what to do with the seventh joint; this one steps damped least
-    squares inside the limits and pulls the spare freedom towards a rest posture, so that equal poses get equal elbows.
+    SAPIEN's solver has no joint limits and leaves the seventh joint undefined. This one uses damped least squares
+    inside the limits and pulls the redundant degree of freedom to a rest posture, so that equal poses get equal elbows.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class ArmKinematics:
         self._tcp = next(i for i, name in enumerate(names) if name.endswith(tcp_link))
         limits = np.asarray(articulation.get_qlimits(), dtype=np.float64)[:NUM_ARM_JOINTS]
         self.lower, self.upper = limits[:, 0] + LIMIT_MARGIN, limits[:, 1] - LIMIT_MARGIN
-        self._qpos = np.zeros(articulation.dof)  # the fingers stay at 0: they do not move the tool
+        self._qpos = np.zeros(articulation.dof)  # the fingers stay at 0, as they do not move the tool
 
     def tcp_in_base(self, qpos: Array) -> Array:
         """Returns the (4, 4) pose of the tool centre point for arm joints (7,) [rad]."""
@@ -112,15 +112,15 @@ class ArmKinematics:
         return np.asarray(full, dtype=np.float64)[:, :NUM_ARM_JOINTS]
 
     def canonical(self, goal: Array) -> IKResult:
-        """Returns the posture for ``goal`` (4, 4) that is nearest to rest, wherever the arm is now."""
+        """Returns the posture for ``goal`` (4, 4) nearest to rest, independent of the arm's present posture."""
         return self.solve(goal, self.rest, iterations=120, pull=CANONICAL)
 
     def solve(
         self, goal: Array, start: Array, *, iterations: int = 40, pull: Pull = ALONG, tolerance: float = 1e-4
     ) -> IKResult:
-        """Returns joint positions that bring the tool to ``goal`` (4, 4), from ``start`` (7,), never past a limit.
+        """Returns joint positions that bring the tool to ``goal`` (4, 4), from ``start`` (7,), within all limits.
 
-        A warm start needs two or three iterations. ``tolerance`` is the error [m, rad] at which to stop.
+        A warm start needs two or three iterations. ``tolerance`` is the error [m, rad] at which it stops.
         """
         qpos, pulls = self._inside(start), pull.steps
         for _ in range(iterations):
@@ -136,9 +136,9 @@ class ArmKinematics:
         return IKResult(qpos, math.hypot(*position), math.hypot(*rotation))
 
     def _step(self, qpos: Array, error: Array, pull: Pull | None) -> tuple[Array, float]:
-        """Returns the damped step (7,) that takes the tool by a twist (6,), and how far it was pulled in it [rad].
+        """Returns the damped step (7,) for a tool twist (6,), and the size of the pull in it [rad].
 
-        A control tick takes a few of these, and a reset hundreds: each call of NumPy counts.
+        A control tick runs a few of these, and a reset hundreds, so the number of NumPy calls matters.
         """
         jacobian = self.body_jacobian(qpos)
         square = jacobian @ jacobian.T
@@ -157,18 +157,18 @@ class ArmKinematics:
 
 
 def _bounded(vector: Array, largest: float) -> Array:
-    """``np.clip`` without its overhead, which is five times the work."""
+    """Clips like ``np.clip``, without its overhead of five times the work."""
     return np.asarray(np.minimum(np.maximum(vector, -largest), largest))
 
 
 def joint_path(start: Array, end: Array, largest_step: float) -> Array:
-    """Returns postures (K, 7) on a straight line in joint space, without ``start``, at most so far apart [rad]."""
+    """Returns postures (K, 7) on a joint-space line without ``start``, at most ``largest_step`` apart [rad]."""
     steps = max(1, int(np.ceil(np.abs(end - start).max() / largest_step)))
     return start + np.linspace(0.0, 1.0, steps + 1)[1:, None] * (end - start)
 
 
 def pose_error(actual: Array, goal: Array) -> Array:
-    """Returns the (6,) twist in the actual tool frame that leads to the goal: metres, then radians."""
+    """Returns the twist (6,) in the actual tool frame that leads to the goal: metres, then radians."""
     rotation = actual[:3, :3].T
     turn = rotation_vector_from_matrix(rotation @ goal[:3, :3])
     return np.concatenate([rotation @ (goal[:3, 3] - actual[:3, 3]), turn])

@@ -1,4 +1,4 @@
-"""A mechanism at work on a simulated object: reads its joints, writes their limits, and holds what nobody has tried."""
+"""Driver of a mechanism on a simulated object: reads joints, writes their limits, and holds untried joints."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ from lerobot_adamanip.mechanisms import Limits, Mechanism
 
 
 class MechanismDriver:
-    """Keeps an articulation within what its mechanism allows, and hides the mechanism until somebody tries it.
+    """Keeps an articulation within its mechanism's limits, and hides the mechanism until a try.
 
-    From reset on every joint is *held*: its limits are closed around where it stands, whatever the hidden draw, as the
-    latch, detent or friction of a real one holds it below its break-away torque. So the simulator is the same to the
-    bit under every hidden state. A joint is released for the rest of the episode when a closed hand that touches what
-    it carries is sent somewhere else, or when a hand, whatever its fingers do, is sent against it in the direction in
-    which it moves (`HandTouch.pushed`): when it is tried. Until then nothing shows, neither on the way to a part, nor
-    in touching it, nor in closing the fingers on it. A *detent* holds the released ones, too, while a key frame does
-    nothing but close the fingers: these close unevenly, and would move what is free before it is tried anew.
+    At reset every joint is *held*: its limits are closed around its position, for every hidden state, like the latch,
+    detent or friction of a real joint below its break-away torque. The simulator is therefore bit-identical under
+    every hidden state. A try releases a joint for the rest of the episode. It is tried in two cases: a closed hand
+    that touches a link on it is sent elsewhere, or any hand is sent against it in its direction of motion
+    (`HandTouch.pushed`). Until then nothing shows: neither on the way to a part, nor at contact, nor while the fingers
+    close. A *detent* also holds released joints while a key frame only closes the fingers: these close unevenly, and
+    would move a free joint before its next try.
 
-    ``state`` is this episode's hidden draw, ``articulation`` a `sapien.physx.PhysxArticulation`. A test turns ``hold``
-    off, to show what it is good for.
+    ``state`` is this episode's hidden state, ``articulation`` a `sapien.physx.PhysxArticulation`. Tests disable
+    ``hold`` to show its effect.
     """
 
     def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: Any, *, hold: bool = True) -> None:
@@ -34,7 +34,7 @@ class MechanismDriver:
 
     @property
     def untried(self) -> frozenset[str]:
-        """Joints that nobody has tried yet."""
+        """Joints without a try so far."""
         return frozenset(self._untried)
 
     def joint_positions(self) -> dict[str, float]:
@@ -42,17 +42,17 @@ class MechanismDriver:
         return dict(zip(self._joints, self._articulation.get_qpos().tolist(), strict=True))
 
     def update(self, *, detent: bool, tried: Collection[str] = ()) -> None:
-        """Releases what is tried and sets the detent, at once; writes nothing if neither changes anything."""
+        """Releases tried joints and sets the detent; writes limits only if something changes."""
         if detent != self.detent or not self._untried.isdisjoint(tried):
             self._untried.difference_update(tried)
             self.detent = detent
             self.apply()
 
     def apply(self) -> None:
-        """Steps the mechanism, and writes its limits but for the joints that are held."""
+        """Steps the mechanism and writes its limits, except for held joints."""
         held = self.mechanism.joints if self.detent else self._untried
         if self._held.keys() == self._joints.keys() == set(held):
-            return  # nothing has moved since, and nothing may
+            return  # nothing has moved since, and nothing can
         positions = self.joint_positions()
         self._held = {name: self._held.get(name, positions[name]) for name in held}
         self.state, command = self.mechanism.step(self.state, positions)
@@ -63,7 +63,7 @@ class MechanismDriver:
                 self._applied[name] = limits
 
     def hidden_state(self) -> dict[str, Any]:
-        """Returns what cannot be seen, JSON-able: privileged, never part of an observation."""
+        """Returns the hidden state, JSON-serialisable; privileged, never part of an observation."""
         return self.mechanism.hidden(self.state)
 
     def succeeded(self) -> bool:
@@ -72,5 +72,5 @@ class MechanismDriver:
 
 
 def joint_name(joint: Any) -> str:
-    """Returns the mechanism's name of a joint: ManiSkill puts scene and object before it."""
+    """Returns the mechanism's name of a joint, without ManiSkill's prefix of scene and object."""
     return str(joint.name).rsplit("_", 1)[-1]

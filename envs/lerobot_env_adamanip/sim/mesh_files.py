@@ -1,4 +1,4 @@
-"""Mesh files for SAPIEN, named by a hash of their content and kept in the system's temporary folder."""
+"""Mesh files for SAPIEN, named by a content hash, in the system's temporary folder."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from lerobot_adamanip.util.files import write_atomically
 
 
 def mesh_file(shape: Shape) -> Path:
-    """Returns a file with a mesh shape's triangles, flat shaded: each face keeps its own vertices and normals."""
+    """Returns a file with a mesh shape's triangles, flat shaded: each face has its own vertices and normals."""
     assert shape.vertices is not None
     assert shape.faces is not None
     digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
@@ -28,7 +28,7 @@ def mesh_file(shape: Shape) -> Path:
 
 @functools.cache
 def cache_folder() -> Path:
-    """Returns this user's folder for meshes in the system's temporary one; a new one if others can write to it."""
+    """Returns this user's mesh folder in the system's temporary folder; creates a new one if others can write to it."""
     folder = Path(tempfile.gettempdir()) / f"adamanip_meshes_{os.getuid()}"
     folder.mkdir(mode=0o700, exist_ok=True)
     if not is_private(folder):
@@ -37,7 +37,7 @@ def cache_folder() -> Path:
 
 
 def is_private(folder: Path) -> bool:
-    """Returns whether a folder is no link, this user's own, and not writable for others."""
+    """Returns whether a folder is not a link, belongs to this user, and is not writable for others."""
     told = folder.lstat()
     return (
         stat.S_ISDIR(told.st_mode) and told.st_uid == os.getuid() and not told.st_mode & (stat.S_IWGRP | stat.S_IWOTH)

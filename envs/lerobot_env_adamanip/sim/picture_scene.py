@@ -1,4 +1,4 @@
-"""Rendered pictures: a second scene that shows the bodies of the physics scene, made for the first picture."""
+"""Rendered images: a second scene with the bodies of the physics scene, created for the first image."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from lerobot_env_adamanip.sim.triangles import robot_outlines
 
 
 class PictureScene:
-    """The looks of the physics scene's bodies, at their poses of the moment. That scene has no renderer.
+    """Looks of the physics scene's bodies at their present poses. The physics scene has no renderer.
 
-    Takes all that can be seen but arm and ground, SAPIEN's articulation of the arm, its description, and the ground's
-    height [m]. Raises `SimulatorError` if nothing renders here.
+    Takes all visible bodies except arm and ground, SAPIEN's articulation of the arm, its URDF, and the ground's height
+    [m]. Raises `SimulatorError` if this machine cannot render.
     """
 
     def __init__(
@@ -53,20 +53,20 @@ class PictureScene:
         self._camera = Camera(without_reflections(camera), self._scene)
 
     def take(self) -> NDArray[np.uint8]:
-        """Returns a picture (H, W, 3) of this moment."""
+        """Returns an image (H, W, 3) of the present scene."""
         self._render()
         image: NDArray[np.uint8] = self.texture("rgb")
         return image
 
     def points(self) -> Cloud:
-        """Returns (M, 3) [m], robot base frame, in scan order: a point of each pixel that sees something."""
+        """Returns (M, 3) [m], robot base frame, in scan order: one point per pixel with a hit."""
         self._render()
         millimetres = self.texture("position").reshape(-1, 3)
         seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * np.float32(1e-3)
         return points_in_world(seen, self._camera.get_params()["cam2world_gl"][0].cpu().numpy())
 
     def texture(self, name: str) -> NDArray[Any]:
-        """Returns ``rgb``, ``depth`` or ``position`` (H, W, C) of the latest picture."""
+        """Returns ``rgb``, ``depth`` or ``position`` (H, W, C) of the latest image."""
         wanted = {"rgb": False, "depth": False, "position": False, "segmentation": False, name: True}
         return np.asarray(self._camera.get_obs(**wanted)[name][0].cpu().numpy())
 
@@ -86,7 +86,7 @@ class PictureScene:
 
 
 def _show(component: Any, seen: bool) -> None:
-    """Disables what is beside the picture: an arm's links are three quarters of its work without a GPU."""
+    """Disables bodies outside of the image: without a GPU an arm's links take three quarters of the time."""
     if seen and not component.is_enabled:
         component.enable()
     elif not seen and component.is_enabled:
@@ -102,7 +102,7 @@ def _component(body: Visible) -> Any:
 
 
 def _robot_components(scene: ManiSkillScene, urdf: Path) -> dict[str, Any]:
-    """Link name -> what ManiSkill's own loader makes of its visuals."""
+    """Returns link name -> component from ManiSkill's loader for its visuals."""
     loader = scene.create_urdf_loader()
     loader.name = "looks"
     links = loader.parse(str(urdf))["articulation_builders"][0].link_builders

@@ -1,7 +1,7 @@
-"""Placement of object, robot and camera: nominal poses, their randomisation, and the check that the arm reaches all.
+"""Placement of object, robot and camera: nominal poses, randomization, and the reachability check.
 
-External assets keep their real size. The robot's base is the origin, so floor and object move: a door whose lever is a
-metre up stands on a floor below the base.
+External assets keep their real size. The robot's base is the origin, so floor and object move: for a door with its
+lever one metre up, the floor is below the base.
 """
 
 from __future__ import annotations
@@ -21,23 +21,23 @@ from lerobot_env_adamanip.sim.kinematics import ArmKinematics, Pull
 Array = NDArray[np.float64]
 
 LEAST_PLINTH, HIGHEST_PLINTH = 0.04, 0.7
-"""Heights of the plinth under a generated object [m]."""
+"""Range of plinth heights for a generated object [m]."""
 PATH_STEPS = 6
-"""Poses checked on each leg of a path."""
+"""Number of poses checked on each leg of a path."""
 APPROACH_STEPS, APPROACHING = 8, Pull(steps=5)
-"""Poses checked on each leg of the way to a part. A motion pulls the elbow to rest at each control tick, so several
-times for each pose here."""
+"""Number of poses checked on each leg of the way to a part. A motion pulls the elbow to rest at each control tick,
+several times per checked pose."""
 
 
 @dataclass(frozen=True)
 class Randomization:
-    """Half widths of uniform draws around the nominal placement.
+    """Half widths of uniform samples around the nominal placement.
 
     Attributes:
-        object_x, object_y: [m].
-        object_yaw: [rad].
+        object_x, object_y: half widths [m].
+        object_yaw: half width [rad].
         joint: standard deviation of the start posture [rad].
-        camera_position: [m] along each axis, camera and its target alike.
+        camera_position: half width [m] along each axis, for camera and target.
     """
 
     object_x: float = 0.04
@@ -51,17 +51,17 @@ RANDOMIZATIONS = {
     "randomized": Randomization(),
     "fixed": Randomization(0.0, 0.0, 0.0, 0.0, 0.0),
 }
-"""``fixed``: upstream's code moves neither object, robot nor camera."""
+"""``fixed``: as upstream's code, which moves neither object, robot nor camera."""
 
 
 def randomization(preset: str) -> Randomization:
-    """Returns a preset by name; raises `ConfigurationError` that lists them for another name."""
+    """Returns a preset by name; raises `ConfigurationError` that lists the names for an unknown one."""
     return RANDOMIZATIONS[require_choice("poses", preset, RANDOMIZATIONS)]
 
 
 @dataclass(frozen=True)
 class Placement:
-    """An episode's poses: the object's root (4, 4) and the arm's start (7,) [rad]; annotations in the base frame."""
+    """Poses of an episode: the object's root (4, 4) and the arm's start (7,) [rad]; annotations in the base frame."""
 
     object_in_base: Array
     start_qpos: Array
@@ -69,11 +69,11 @@ class Placement:
 
 
 Path = tuple[Mapping[str, float], ...]
-"""Joint positions [rad or m] to visit one after the other, from rest."""
+"""Joint positions [rad or m] to visit in sequence, from rest."""
 
 
 class ReachRequirement:
-    """What the arm must reach at a part: hold it, and take it along every one of ``paths``.
+    """Required reach at a part: hold it, and move it along each of ``paths``.
 
     >>> ReachRequirement("knob", ({"knob": -1.2},), ({"knob": 1.2},))  # both ways from rest
     >>> ReachRequirement("cap", ({"cap": 2.0}, {"cap": 2.0, "lift": 0.05}))  # turn, then lift
@@ -85,15 +85,15 @@ class ReachRequirement:
 
 @dataclass(frozen=True)
 class ExternalStand:
-    """Nominal place of a category's external assets, robot base frame.
+    """Nominal placement of a category's external assets, robot base frame.
 
     Attributes:
-        part_y: largest distance of the first part to the side [m].
-        wide: a leaf whose handle is farther from its hinge than this [m] counts as wide.
+        part_y: maximum sideways distance of the first part [m].
+        wide: distance of handle and hinge [m] above which a leaf counts as wide.
         wide_x: distance of a wide leaf's front from the robot's base [m].
         wide_y: distance of a wide leaf's handle from the arm's middle plane, away from the hinge [m].
-        farthest: joint -> bound of the positions that the arm must reach [rad or m].
-        wide_farthest: the same of wide leaves.
+        farthest: joint -> maximum position that the arm must reach [rad or m].
+        wide_farthest: the same for wide leaves.
     """
 
     part_y: float = 0.12
@@ -106,12 +106,12 @@ class ExternalStand:
 
 @dataclass(frozen=True)
 class Stand:
-    """Nominal place of one object, robot base frame, and the motions the arm must be able to make there.
+    """Nominal placement of one object, robot base frame, with the motions that the arm must be able to make there.
 
     Attributes:
-        x, y: of the middle of its front [m].
-        floor_z: of the surface it stands on [m].
-        reaches: part motions.
+        x, y: middle of its front [m].
+        floor_z: height of its supporting surface [m].
+        reaches: required part motions.
     """
 
     x: float
@@ -134,9 +134,9 @@ class Stand:
         tries: int = 30,
         must_reach: bool = True,
     ) -> Placement:
-        """Draws poses around this stand until the arm reaches every part, held and moved.
+        """Samples poses around this placement until the arm can hold and move every part.
 
-        Raises `UnreachableError` if that is so of none of ``tries`` draws, and ``must_reach``; else returns the last.
+        If all ``tries`` samples fail, raises `UnreachableError` if ``must_reach``; otherwise returns the last sample.
         """
         for _ in range(tries):
             pose = _drawn_pose(rng, spread, self.x, self.y, self.floor_z)
@@ -156,7 +156,7 @@ class Stand:
 def generated_stand(
     obj: ArticulatedObject, reaches: tuple[ReachRequirement, ...], *, nominal_x: float, part_height: float
 ) -> Stand:
-    """Returns the stand of a generated object: in front of the robot, its first part at ``part_height`` [m]."""
+    """Returns the placement of a generated object: in front of the robot, its first part at ``part_height`` [m]."""
     floor = float(np.clip(part_height - obj.parts[0].grasp[2, 3], LEAST_PLINTH, HIGHEST_PLINTH))
     return Stand(nominal_x, 0.0, floor, reaches)
 
@@ -169,10 +169,10 @@ def external_stand(
     nominal_x: float,
     part_height: float,
 ) -> Stand:
-    """Returns the stand of an external asset: lifted, lowered and shifted until its first part is in reach."""
+    """Returns the placement of an external asset: moved until its first part is in reach."""
     part = obj.parts[0]
     floor = min(part_height - float(part.grasp[2, 3]), HIGHEST_PLINTH)
-    # The object is yawed by half a turn: its +y is the base's -y.
+    # The object faces the robot, rotated by half a turn: its +y is the base's -y.
     aside, hinge = -float(part.grasp[1, 3]), _hinge_y(part)
     if hinge is None or abs(float(part.grasp[1, 3]) - hinge) <= rule.wide:
         wanted = float(np.clip(aside, -rule.part_y, rule.part_y))
@@ -182,7 +182,7 @@ def external_stand(
 
 
 def _hinge_y(part: PartAnnotation) -> float | None:
-    """The y of the upright hinge that carries a part, object frame [m]; None if there is none."""
+    """Returns the y of the vertical hinge that carries a part, object frame [m]; None without one."""
     hinges = [motion for motion in part.motions if motion.kind == "revolute" and abs(motion.axis[2]) > 0.9]
     return float(hinges[0].point[1]) if hinges else None
 
@@ -199,7 +199,7 @@ def _capped(reaches: tuple[ReachRequirement, ...], farthest: Mapping[str, float]
 
 
 def _drawn_pose(rng: np.random.Generator, spread: Randomization, x: float, y: float, z: float) -> Array:
-    """Draws an object's pose (4, 4) around its nominal place [m], facing the robot."""
+    """Samples an object's pose (4, 4) around its nominal position [m], facing the robot."""
     x, y = x + rng.uniform(-1, 1) * spread.object_x, y + rng.uniform(-1, 1) * spread.object_y
     yaw = np.pi + rng.uniform(-1, 1) * spread.object_yaw
     return transform((x, y, z), rotation_about((0.0, 0.0, 1.0), yaw))
@@ -222,9 +222,9 @@ def _reachable(
 
 
 def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
-    """Returns whether the arm gets from ``start`` (7,) [rad] on straight lines to before a grasp (4, 4), and to it.
+    """Returns whether the arm gets from ``start`` (7,) [rad] to a grasp (4, 4), via its pre-grasp, on straight lines.
 
-    Near its full stretch the arm may reach a pose, but not on a straight line.
+    An almost stretched arm may reach a pose, but not on a straight line.
     """
     qpos, here = start, kinematics.tcp_in_base(start)
     for goal in (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp):
@@ -238,7 +238,7 @@ def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
 
 
 def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinematics) -> float | None:
-    """Returns the largest turn of the wrist from rest while holding and moving the part; None if out of reach."""
+    """Returns the largest wrist rotation from rest while holding and moving the part; None if out of reach."""
     before = part.grasp @ transform((0.0, 0.0, -PRE_GRASP))
     grasped = kinematics.canonical(before)
     if not grasped.within(2e-3, 0.01):
@@ -257,7 +257,7 @@ def _cost(part: PartAnnotation, reach: ReachRequirement, kinematics: ArmKinemati
 
 
 def _along(path: Path) -> Iterator[dict[str, float]]:
-    """Joint positions on the way: the first is rest."""
+    """Yields the joint positions along a path, starting at rest."""
     here: dict[str, float] = dict.fromkeys(path[0], 0.0)
     yield here
     for leg in path:

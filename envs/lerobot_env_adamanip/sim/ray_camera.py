@@ -1,4 +1,4 @@
-"""Clouds and pictures by ray casting: no renderer is used."""
+"""Point clouds and images by ray casting, without a renderer."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from lerobot_env_adamanip.sim.scene import Visible
 from lerobot_env_adamanip.sim.triangles import robot_triangles, shapes_triangles
 
 _AROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
-"""Space that shaded pictures show, robot base frame [m]."""
+"""Space in shaded images, robot base frame [m]."""
 _BACKGROUND = np.array((0.36, 0.37, 0.40), np.float32)
 _COLORS = np.array(
     ((0.80, 0.80, 0.82), (0.72, 0.56, 0.36), (0.45, 0.60, 0.78), (0.62, 0.74, 0.50), (0.80, 0.48, 0.42)), np.float32
 )
-"""Of the arm, then of the other bodies in turn."""
+"""Colours of the arm, then of the other bodies in turn."""
 _LIGHT = np.array((-0.3, 0.5, 0.8), np.float32)
-"""Direction the light comes from, camera frame; of any length."""
+"""Direction of the light source in the camera frame, with any length."""
 _AMBIENT = 0.3
 
 
 @dataclass(frozen=True)
 class Body:
-    """A rigid body that rays can meet.
+    """A rigid body for ray casting.
 
     Attributes:
-        mesh: its triangles.
-        entity: SAPIEN's, which has a pose.
-        rests: whether it seldom moves: true of an object's links, false of an arm's.
+        mesh: triangles of the body.
+        entity: SAPIEN's entity, which has the pose.
+        rests: whether it rarely moves: true for an object's links, false for an arm's.
     """
 
     mesh: LinkMesh
@@ -45,12 +45,12 @@ class Body:
     rests: bool = False
 
     def pose(self) -> Pose:
-        """Returns its pose now (4, 4), world frame [m]."""
+        """Returns the present pose (4, 4), world frame [m]."""
         return np.asarray(self.entity.pose.to_transformation_matrix(), np.float64)
 
 
 def visible_bodies(visible: Iterable[Visible], robot: Any, urdf: Path) -> list[Body]:
-    """Returns the bodies that rays can meet: of our shapes, and an arm's links as its URDF describes them."""
+    """Returns the bodies for ray casting: visible shapes, and the arm's links from its URDF."""
     seen = [(body.entity, shapes_triangles(body.shapes)) for body in visible]
     bodies = [Body(link_mesh(triangles), entity, rests=True) for entity, triangles in seen if len(triangles)]
     meshes, root = _robot_meshes(urdf), robot.links[0].entity
@@ -64,7 +64,7 @@ def _robot_meshes(urdf: Path) -> Mapping[str, LinkMesh]:
 
 
 class RaycastSensor:
-    """A depth camera of the workspace. Each ray goes ``beside`` its pixel's middle, right and below [px]."""
+    """Depth camera of the workspace. ``beside`` is the offset of rays right of and below the pixel's middle [px]."""
 
     def __init__(
         self,
@@ -82,22 +82,22 @@ class RaycastSensor:
         self._behind = self._scene.empty()
 
     def points(self) -> Cloud:
-        """Returns (M, 3) [m], robot base frame, in scan order: ends of rays in the workspace, or near it."""
+        """Returns (M, 3) [m], robot base frame, in scan order: ray hits in or near the workspace."""
         millimetres = self.pixels()[1]
         return points_in_world(millimetres * np.float32(1e-3), self._camera.pose)
 
     def pixels(self) -> tuple[Slots, Cloud]:
-        """Returns pixels (M,), as numbers in scan order, and their points (M, 3), camera frame, in whole mm."""
+        """Returns pixels (M,), as indices in scan order, and their points (M, 3), camera frame, in whole mm."""
         self._update_resting()
         depth = self._behind.copy()
         self._scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
         met = self._scene.met(depth)
-        # Cut towards the camera, as ManiSkill's position image has them: both kinds are interchangeable.
+        # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
         points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
         return self._scene.pixels[met], np.trunc(points, out=points)
 
     def _update_resting(self) -> None:
-        """Casts rays anew at the resting bodies that have moved."""
+        """Recasts the rays at resting bodies that have moved."""
         changed = False
         for index, body in enumerate(self._resting):
             pose, known = body.pose(), self._hits[index]
@@ -111,7 +111,7 @@ class RaycastSensor:
 
 
 def shaded_picture(config: CameraConfig, bodies: Sequence[Body]) -> NDArray[np.uint8]:
-    """Returns the picture (H, W, 3) of bodies as they are now, without colours of their own."""
+    """Returns an image (H, W, 3) of the bodies at their present poses, without their own colours."""
     camera = pinhole(config)
     scene = RayScene(camera, _AROUND)
     depth = scene.empty()
@@ -130,10 +130,10 @@ def shaded_picture(config: CameraConfig, bodies: Sequence[Body]) -> NDArray[np.u
 
 
 def _brightness(points: Cloud) -> NDArray[np.float32]:
-    """Brightness (H, W) of points (H, W, 3), camera frame, by the surface through each and its neighbours."""
+    """Returns the brightness (H, W) of points (H, W, 3), camera frame, from the surface through neighbouring points."""
     right, down = (np.roll(points, -1, axis=axis) - points for axis in (1, 0))
     normal = np.cross(down, right)
     length = np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
     facing = (normal @ (_LIGHT / np.linalg.norm(_LIGHT))) / length
-    # Beside a pixel that sees nothing there is no surface: as dark as a surface that turns away from the light.
+    # A pixel without a hit has no surface: it is as dark as a surface that faces away from the light.
     return np.asarray(np.nan_to_num(_AMBIENT + (1 - _AMBIENT) * np.clip(facing, 0, 1), nan=_AMBIENT), np.float32)

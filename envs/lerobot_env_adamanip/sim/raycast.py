@@ -1,7 +1,7 @@
-"""Depth by ray casting: where the ray of each pixel ends.
+"""Depth by ray casting, with one ray per pixel.
 
-The binding of Embree used here knows neither instances nor moving meshes. Each link therefore has a scene of its own,
-and rays are taken into its frame; the depth that one link leaves bounds the rays cast at the next.
+This Embree binding has neither instances nor moving meshes. Each link therefore has its own scene, and rays are
+transformed into its frame; the depth of one link bounds the rays cast at the next.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ Slots = NDArray[np.int64]
 """Indices of rays."""
 Depth = NDArray[np.float32]
 _MARGIN = 0.004
-"""Rays that end this near the workspace are cast as well: points are cut to whole millimetres along three axes [m]."""
+"""Margin of the workspace for ray hits [m], because points are truncated to whole millimetres along three axes."""
 _KEPT_SCENES = 512
-"""Links kept in a process: some fifty objects; one of 5,000 triangles takes 2 MB."""
+"""Number of links cached in a process, enough for some fifty objects; 5,000 triangles take 2 MB."""
 _SPLITS = 3
-"""A link's silhouette is approximated by 2^3 boxes around parts of it."""
+"""Halvings of a link's triangles: its silhouette is approximated by 2^3 boxes."""
 
 
 class LinkMesh:
-    """A link's triangles (N, 3, 3) [m], link frame, in Embree."""
+    """Triangles of a link (N, 3, 3) [m], link frame, in Embree."""
 
     def __init__(self, triangles: Triangles) -> None:
         from embreex.mesh_construction import TriangleMesh
@@ -39,10 +39,10 @@ class LinkMesh:
         self._scene = EmbreeScene(_device(), robust=True)
         TriangleMesh(self._scene, triangles)
         self.corners = _corners(_clusters(triangles, _SPLITS))
-        """(8 M, 3) corners of M boxes that hold all triangles [m], link frame."""
+        """(8 M, 3) corners of M boxes around all triangles [m], link frame."""
 
     def depths(self, origin: NDArray[np.float64], directions: NDArray[np.float32], farthest: Depth) -> Depth:
-        """Returns the depth of each ray: where it meets this mesh, at most ``farthest`` (N,)."""
+        """Returns the depth of each ray's hit with this mesh, at most ``farthest`` (N,)."""
         origins = np.empty_like(directions)
         origins[:] = origin
         reached: Depth = self._scene.run(origins, directions, dists=farthest, query="DISTANCE")
@@ -50,7 +50,7 @@ class LinkMesh:
 
 
 def _clusters(triangles: Triangles, splits: int) -> list[Triangles]:
-    """Halves triangles (N, 3, 3) along the longest side, recursively: up to 2^splits parts."""
+    """Halves triangles (N, 3, 3) along the longest side, recursively, into up to 2^splits parts."""
     if splits == 0 or len(triangles) < 2:
         return [triangles]
     middles = triangles.mean(1)
@@ -61,7 +61,7 @@ def _clusters(triangles: Triangles, splits: int) -> list[Triangles]:
 
 
 def _corners(parts: list[Triangles]) -> NDArray[np.float64]:
-    """Returns the corners (8 M, 3) of the box around each of M sets of triangles."""
+    """Returns the corners (8 M, 3) of the boxes around M sets of triangles."""
     lower, upper = (np.stack([edge(part.reshape(-1, 3), axis=0) for part in parts]) for edge in (np.min, np.max))
     choices = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
     return np.where(choices, upper[:, None], lower[:, None]).reshape(-1, 3).astype(np.float64)
@@ -78,17 +78,17 @@ _meshes: dict[str, LinkMesh] = {}
 
 
 def link_mesh(triangles: Triangles) -> LinkMesh:
-    """Returns the mesh of triangles (N, 3, 3), from the cache if it is there."""
+    """Returns the mesh of triangles (N, 3, 3), cached."""
     digest = hashlib.sha256(np.ascontiguousarray(triangles)).hexdigest()
     mesh = _meshes.pop(digest, None) or LinkMesh(triangles)
-    _meshes[digest] = mesh  # the latest comes last
+    _meshes[digest] = mesh  # moved to the end as the latest
     if len(_meshes) > _KEPT_SCENES:
         del _meshes[next(iter(_meshes))]
     return mesh
 
 
 class _View(NamedTuple):
-    """A link in the camera's frame: rays (M,) that may meet it, its rotation, shift and least depth [m]."""
+    """A link in the camera's frame: rays (M,) that may hit it, its rotation, shift and minimum depth [m]."""
 
     slots: Slots
     rotation: NDArray[np.float64]
@@ -97,7 +97,7 @@ class _View(NamedTuple):
 
 
 class RayScene:
-    """Depth of the workspace in one camera's picture, link by link. K rays are cast: those that can end in it."""
+    """Depth of the workspace in one camera's image, link by link. Casts only the K rays that can end in it."""
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera
@@ -106,9 +106,9 @@ class RayScene:
         rays = camera.rays(beside)
         farthest = _farthest(camera, rays, workspace)
         self.pixels: Slots = np.flatnonzero(farthest > 0.0)
-        """Pixels of the rays, in scan order (K,)."""
+        """Pixel indices of the rays, in scan order (K,)."""
         self.rays = rays[self.pixels].astype(np.float32)
-        """Their directions (K, 3), camera frame."""
+        """Directions of the rays (K, 3), camera frame."""
         self._farthest = farthest[self.pixels].astype(np.float32)
         slots = np.full(camera.size**2, -1, np.int64)
         slots[self.pixels] = np.arange(len(self.pixels))
@@ -119,14 +119,14 @@ class RayScene:
         return self._farthest.copy()
 
     def hits(self, mesh: LinkMesh, pose: Pose) -> tuple[Slots, Depth]:
-        """Returns the rays that may meet one link at ``pose`` (4, 4), world frame, and their depths [m]."""
+        """Returns the rays that may hit one link at ``pose`` (4, 4), world frame, and their depths [m]."""
         view = self._view(mesh, pose)
         return view.slots, self._depths(mesh, view, view.slots, self._farthest[view.slots])
 
     def cast(self, links: Sequence[tuple[LinkMesh, Pose]], depth: Depth) -> None:
-        """Lowers ``depth`` (K,) [m] to that of links at their poses (4, 4), world frame."""
+        """Reduces ``depth`` (K,) [m] to the hits with links at their poses (4, 4), world frame."""
         views = [(mesh, self._view(mesh, pose)) for mesh, pose in links]
-        # The nearest first: it bounds the rays at what lies behind it.
+        # Nearest link first, because it bounds the rays at links behind it.
         for mesh, view in sorted(views, key=lambda each: each[1].nearest):
             farthest, slots = depth[view.slots], view.slots
             if view.nearest > 0.0:
@@ -136,7 +136,7 @@ class RayScene:
                 depth[slots] = self._depths(mesh, view, slots, farthest)
 
     def met(self, depth: Depth) -> Slots:
-        """Returns the rays (M,) of depths (K,) that meet something before they leave the workspace."""
+        """Returns the rays (M,) whose depths (K,) have a hit inside the workspace."""
         return np.flatnonzero(depth < self._farthest)
 
     def _view(self, mesh: LinkMesh, pose: Pose) -> _View:
@@ -161,14 +161,14 @@ def _within(slots: Slots, rectangles: NDArray[np.int64]) -> Slots:
 
 
 def _farthest(camera: PinholeCamera, rays: NDArray[np.float64], workspace: Workspace) -> NDArray[np.float64]:
-    """Depth at which each ray (N, 3) leaves the workspace [m]; 0 if it never is in it. -> (N,)."""
+    """Returns the depth (N,) at which each ray (N, 3) leaves the workspace [m]; 0 if it never enters it."""
     directions, eye = camera.pose[:3, :3] @ rays.T, camera.pose[:3, 3]
     lower, upper = np.asarray(workspace.lower) - _MARGIN, np.asarray(workspace.upper) + _MARGIN
     enters, leaves = np.full(len(rays), -np.inf), np.full(len(rays), np.inf)
     with np.errstate(divide="ignore", invalid="ignore"):
         for along, low, high in zip(directions, lower - eye, upper - eye, strict=True):
             one, other = low / along, high / along
-            # A ray in one of the box's planes gives NaN along that axis, which these ignore.
+            # A ray in one of the box's planes gives NaN along that axis; fmax and fmin ignore it.
             np.fmax(enters, np.minimum(one, other), out=enters)
             np.fmin(leaves, np.maximum(one, other), out=leaves)
     return np.where((leaves > 0.0) & (leaves >= enters), leaves, 0.0)

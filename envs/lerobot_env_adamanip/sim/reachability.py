@@ -1,4 +1,4 @@
-"""Which external assets can be placed before the arm: by its kinematics alone, without a scene."""
+"""Reachability check of external assets, from the arm's kinematics alone, without a scene."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 
 SEED = 0
-"""Seed of a check's draws."""
+"""Seed of the sampled poses."""
 
 
 @functools.cache
 def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObject], str]:
-    """Returns a function that says why an object cannot be placed, an empty text if it can.
+    """Returns a function that returns why an object cannot be placed, or an empty text.
 
-    One episode's draws are tried: an object placed there is placed in nearly every other.
+    It samples one episode; an object that can be placed there can be placed in almost every episode.
     """
     spread = randomization(poses)
 
@@ -41,7 +41,7 @@ def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObje
 
 @functools.cache
 def _arm(task: CategoryTask) -> ArmKinematics:
-    """Kinematics of an arm without shapes: no renderer is needed."""
+    """Returns the kinematics of an arm without shapes, which needs no renderer."""
     scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
     loader = scene.create_urdf_loader()
     loader.fix_root_link = True

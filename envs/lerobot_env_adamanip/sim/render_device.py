@@ -1,7 +1,7 @@
-"""The device that renders on this machine: tested once with a picture, then looked up in the user's cache.
+"""Rendering device of this machine: tested once with an image, then read from the user's cache.
 
-PyTorch finding a GPU does not mean that Vulkan does, and a broken driver may crash or hang. The picture is therefore
-taken in a process of its own (`render_probe`). Importing this imports no simulator.
+A GPU in PyTorch does not imply one in Vulkan, and a broken driver may crash or hang. The test therefore runs in its own
+process (`render_probe`). Importing this module does not import the simulator.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from lerobot_adamanip.util.files import write_atomically
 
 PROBE = "lerobot_env_adamanip.sim.render_probe"
 PROBE_SECONDS = 90.0
-"""Time limit of a probe. A first picture compiles its shaders: 8 s of two slow cores."""
+"""Time limit of a probe [s]. The first image compiles its shaders: 8 s on two slow cores."""
 NOTHING = "none"
 _NVIDIA = Path("/proc/driver/nvidia/version")
 _ETC = Path("/etc")
 _CHOSEN_DRIVERS = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES")
-"""If either names files or folders, the Vulkan loader looks nowhere else."""
+"""Variables that replace the Vulkan loader's search path if one is set."""
 _ENVIRONMENT = ("CUDA_VISIBLE_DEVICES", "NVIDIA_VISIBLE_DEVICES", "VK_ADD_DRIVER_FILES", *_CHOSEN_DRIVERS)
 _log = logging.getLogger(__name__)
 
 
 def resolve_render_backend(wanted: str = "auto") -> str:
-    """Returns ``cuda`` or ``cpu``: ``wanted``, or for ``auto`` the GPU if it renders.
+    """Returns ``cuda`` or ``cpu``: ``wanted``, or for ``auto`` the GPU if it renders, otherwise the CPU.
 
     Raises:
-        ConfigurationError: there is no such backend.
+        ConfigurationError: the backend does not exist.
     """
     if require_choice("render backend", wanted, RENDER_BACKENDS) != "auto":
         return wanted
@@ -46,15 +46,15 @@ def resolve_render_backend(wanted: str = "auto") -> str:
 
 
 def can_render() -> bool:
-    """Returns whether anything renders here; see `rendering_device`."""
+    """Returns whether this machine renders; see `rendering_device`."""
     return rendering_device() != NOTHING
 
 
 def observes_images(wanted: bool | None) -> bool:
-    """Returns whether observations hold pictures: for None if something renders, with a warning if nothing does.
+    """Returns whether observations include images. None means if this machine renders, with a warning if not.
 
     Raises:
-        SimulatorError: pictures are wanted, and nothing renders here.
+        SimulatorError: images are requested, but this machine cannot render.
     """
     if wanted is False or can_render():
         return wanted is not False
@@ -69,7 +69,7 @@ def observes_images(wanted: bool | None) -> bool:
 
 
 def takes_picture(backend: str, command: tuple[str, ...] = (), seconds: float = PROBE_SECONDS) -> bool:
-    """Returns whether a device takes a picture, in a process that may crash and is ended if it hangs."""
+    """Returns whether a device renders an image, in a process that may crash and is ended if it hangs."""
     command = command or (sys.executable, "-m", PROBE, backend)
     quiet = subprocess.DEVNULL
     try:
@@ -80,7 +80,7 @@ def takes_picture(backend: str, command: tuple[str, ...] = (), seconds: float = 
 
 
 def rendering_device(probe: Callable[[str], bool] = takes_picture) -> str:
-    """Returns the first device that renders, ``cuda`` or ``cpu``, or `NOTHING`. Tested once for a set of drivers."""
+    """Returns the first device that renders, ``cuda`` or ``cpu``, or `NOTHING`. Tested once per set of drivers."""
     if not has_vulkan_driver():
         return NOTHING
     path, key = cache_file(), _cache_key()
@@ -89,19 +89,19 @@ def rendering_device(probe: Callable[[str], bool] = takes_picture) -> str:
         _log.warning("Testing whether this machine renders; the answer is kept for the next time.")
         backends = ["cuda", "cpu"] if _has_gpu() else ["cpu"]
         answers[key] = next((backend for backend in backends if probe(backend)), NOTHING)
-        with contextlib.suppress(OSError):  # without a cache the next process probes again
+        with contextlib.suppress(OSError):  # without a cache, the next process tests again
             path.parent.mkdir(parents=True, exist_ok=True)
             write_atomically(path, json.dumps(answers).encode())
     return answers[key]
 
 
 def has_vulkan_driver() -> bool:
-    """Returns whether a Vulkan driver is installed; SAPIEN brings the manifest of NVIDIA's itself."""
+    """Returns whether a Vulkan driver is installed; SAPIEN includes the manifest of NVIDIA's."""
     return bool(vulkan_drivers()) or _NVIDIA.exists()
 
 
 def vulkan_drivers() -> tuple[str, ...]:
-    """Returns the manifests (``*.json``) of installed drivers, with their times, where the Vulkan loader looks."""
+    """Returns the manifests (``*.json``) of installed drivers with their times, from the Vulkan loader's folders."""
     folders = [
         *_paths("XDG_CONFIG_DIRS", "/etc/xdg"),
         _ETC,
@@ -120,7 +120,7 @@ def _paths(variable: str, default: str = "") -> list[Path]:
 
 
 def cache_file() -> Path:
-    """Returns the file of answers: in ``$XDG_CACHE_HOME``, or ``~/.cache``."""
+    """Returns the cache file, in ``$XDG_CACHE_HOME`` or ``~/.cache``."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "adamanip" / "render_device.json"
 
 

@@ -1,7 +1,7 @@
-"""Test picture by SAPIEN. ``python -m lerobot_env_adamanip.sim.render_probe [cuda|cpu ...]`` prints what renders first.
+"""Test render. ``python -m lerobot_env_adamanip.sim.render_probe [cuda|cpu ...]`` prints the first device that works.
 
-`sapien.Device.can_render()` says False for Mesa's lavapipe, which does render. Run this in a process of its own: a
-broken driver may crash instead of raising.
+`sapien.Device.can_render()` returns False for Mesa's lavapipe, although it renders. Run this in its own process,
+because a broken driver may crash instead of raising.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import sys
 
 SIZE = 32
-"""Side of the probe's image [pixels]."""
+"""Side length of the probe's image [px]."""
 
 
 def render_box(backend: str) -> str:
-    """Renders a red box on ``backend`` ("cuda" or "cpu"); returns what SAPIEN calls the device.
+    """Renders a red box on ``backend`` ("cuda" or "cpu"); returns SAPIEN's name of the device.
 
     Raises:
-        RuntimeError: no such device, the driver failed, or the picture does not show the box.
+        RuntimeError: the device does not exist, the driver failed, or the image does not show the box.
     """
     import sapien
 
@@ -37,7 +37,7 @@ def render_box(backend: str) -> str:
 
 
 def main() -> int:
-    """Tries the devices named, or the GPU, then the CPU; exit status 0 if one of them renders."""
+    """Tries the given devices, by default the GPU, then the CPU; returns exit status 0 if one renders."""
     failures = []
     for backend in sys.argv[1:] or ("cuda", "cpu"):
         try:

@@ -1,4 +1,4 @@
-"""SAPIEN's renderer: scenes that render, and what a process keeps of it from one environment to the next."""
+"""SAPIEN's renderer: rendering scenes, and the parts that a process keeps between environments."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from lerobot_adamanip.util.errors import AdaManipError, no_vulkan_device
 from lerobot_env_adamanip.sim.render_device import can_render, has_vulkan_driver, resolve_render_backend
 
 MANISKILL_NAMES = {"cuda": "gpu", "cpu": "cpu"}
-"""Our names of render backends -> ManiSkill's."""
+"""This project's render backends -> ManiSkill's."""
 BLIND = frozenset(("none", "state", "state_dict"))
-"""ManiSkill's observations that need no camera; without ``obs_mode`` it is ``state``."""
+"""ManiSkill's observation modes without a camera; the default is ``state``."""
 _UNLIT = {
     "gbuffer.frag": {
         "layout(set = 3, binding = 8) uniform sampler2D samplerBRDFLUT;": "",
@@ -38,7 +38,7 @@ atexit.register(_kept.clear)
 
 
 def device_for(render_backend: str, options: Mapping[str, Any]) -> str:
-    """Returns the ``render_backend`` of ManiSkill's own scene: ``none`` unless plain ManiSkill shows something."""
+    """Returns the ``render_backend`` of ManiSkill's own scene: ``none`` unless plain ManiSkill renders something."""
     observed, shown = options.get("obs_mode"), options.get("render_mode") is not None
     looks = shown or not (observed is None or set(observed.split("+")) <= BLIND)
     if not looks and (observed == "none" or not can_render()):
@@ -48,7 +48,7 @@ def device_for(render_backend: str, options: Mapping[str, Any]) -> str:
 
 @contextlib.contextmanager
 def translate_renderer_errors() -> Iterator[None]:
-    """Turns SAPIEN's errors about a missing device into a `SimulatorError` that says how to get one."""
+    """Turns SAPIEN's errors about a missing device into a `SimulatorError` with instructions."""
     try:
         yield
     except RuntimeError as error:
@@ -59,8 +59,8 @@ def translate_renderer_errors() -> Iterator[None]:
 
 
 def empty_scene(render_backend: str = "auto") -> ManiSkillScene:
-    """Returns a scene that renders; raises `SimulatorError` if nothing does here."""
-    if not has_vulkan_driver():  # SAPIEN would print errors of its own first
+    """Returns a scene that renders; raises `SimulatorError` if this machine cannot render."""
+    if not has_vulkan_driver():  # otherwise SAPIEN prints its own errors first
         raise no_vulkan_device("no Vulkan driver is installed")
     backend = parse_sim_and_render_backend("physx_cpu", MANISKILL_NAMES[resolve_render_backend(render_backend)])
     try:
@@ -72,30 +72,30 @@ def empty_scene(render_backend: str = "auto") -> ManiSkillScene:
 
 
 def keep_shaders(device: Any) -> None:
-    """Holds a renderer on ``device`` (a `sapien.Device`) until the process ends.
+    """Keeps a renderer on ``device`` (a `sapien.Device`) until the process ends.
 
-    SAPIEN drops its compiled shaders with the last renderer, and compiling them takes 5 s of two cores without a GPU.
+    SAPIEN frees its compiled shaders with the last renderer; compiling them takes two cores 5 s without a GPU.
     """
     if not _kept:
         _kept.append(sapien.render.RenderSystem(device))
 
 
 def without_reflections(camera: CameraConfig) -> CameraConfig:
-    """Returns a camera whose shaders do without the table of reflections, which takes a process 5 s of two cores.
+    """Returns a camera with shaders that skip the reflection table, which takes two cores 5 s per process.
 
-    In a scene without surroundings pictures are the same to the bit. Shaders other than `minimal`, and those of another
-    SAPIEN, are left as they are.
+    In a scene without surroundings, images are bit-identical. Shaders other than `minimal`, and those of another SAPIEN
+    version, are not changed.
     """
     if camera.shader_pack != "minimal" or (pack := _unlit_pack()) is None:
         return camera
     minimal = PREBUILT_SHADER_CONFIGS["minimal"]
-    set_shader_pack(minimal)  # ManiSkill looks up the formats of its pictures by the pack's name alone
+    set_shader_pack(minimal)  # ManiSkill finds the image formats by the pack's name
     return replace(camera, shader_config=replace(minimal, shader_pack=str(pack)))
 
 
 @functools.cache
 def _unlit_pack() -> Path | None:
-    """Writes the shader pack, for as long as the process lives."""
+    """Writes the shader pack; it exists until the process ends."""
     packs = Path(sapien.__file__).parent / "vulkan_shader"
     changed: dict[str, str] = {}
     for file, lines in _UNLIT.items():
@@ -106,7 +106,7 @@ def _unlit_pack() -> Path | None:
         changed[file] = functools.reduce(lambda whole, pair: whole.replace(*pair), lines.items(), text)
     folder = Path(tempfile.mkdtemp(prefix="adamanip-shaders-"))
     atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    for name in ("common", "minimal"):  # shaders of the second include files of the first
+    for name in ("common", "minimal"):  # minimal includes files of common
         shutil.copytree(packs / name, folder / name)
     for file, text in changed.items():
         (folder / "minimal" / file).write_text(text, encoding="utf-8")
@@ -114,6 +114,6 @@ def _unlit_pack() -> Path | None:
 
 
 def renderer_name() -> str:
-    """Returns the names of the devices that SAPIEN can render with, as their Vulkan drivers give them."""
+    """Returns the names of SAPIEN's rendering devices, from their Vulkan drivers."""
     lines = [line.partition(":") for line in sapien.render.get_device_summary().splitlines()]
     return ", ".join(value.strip() for key, _, value in lines if key.strip() == "GPU") or "none"

@@ -1,4 +1,4 @@
-"""The Franka Panda as ManiSkill ships it, with the grip a real Franka Hand has."""
+"""ManiSkill's Franka Panda with the grip force of a real Franka Hand."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from mani_skill.agents.robots.panda.panda import Panda
 
 @register_agent()
 class AdaManipPanda(Panda):
-    """Panda with a soft wrist and a firm hand.
+    """Panda with a compliant wrist and a strong hand.
 
-    ManiSkill's arm has 1000 N m/rad in every joint: it would twist a knob out of the fingers without noticing. A real
+    ManiSkill's arm has 1000 N m/rad in every joint: it would twist a knob out of the fingers without feedback. A real
     Franka under Cartesian impedance has tens of N m/rad about the tool, so a blocked turn is felt. ManiSkill's hand
     closes with about 20 N on a thin bar; the Franka Hand grips with up to 140 N.
     """

@@ -1,4 +1,4 @@
-"""Importing SAPIEN with the kinematics library that it brings."""
+"""Import of SAPIEN with its own kinematics library."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ _log = logging.getLogger(__name__)
 
 
 def import_sapien() -> None:
-    """Imports SAPIEN with its own kinematics library; warns if it was imported before with another one.
+    """Imports SAPIEN with its own kinematics library; warns if another one was imported before.
 
-    SAPIEN prefers an installed `pinocchio` (of `pin`, which LeRobot's kinematics brings) to its own build. Postures
-    then differ in their last digits, contacts amplify that, and the same seed gives another episode.
+    SAPIEN prefers an installed `pinocchio` (from `pin`, a dependency of LeRobot's kinematics) to its own build.
+    Postures then differ in their last digits, contacts amplify this, and the same seed gives another episode.
 
     Raises:
         SimulatorError: SAPIEN is not installed.
     """
     if "sapien" not in sys.modules:
         with warnings.catch_warnings():
-            # Physics needs no Vulkan library, and pictures without one fail with an error that says more.
+            # Physics needs no Vulkan library, and rendering without one raises a clearer error later.
             warnings.filterwarnings("ignore", message="Failed to find system libvulkan")
             modules: dict[str, Any] = sys.modules
             before = {name: modules[name] for name in (KINEMATICS_LIBRARY,) if name in modules}
-            modules[KINEMATICS_LIBRARY] = None  # Python's mark of a module that cannot be imported
+            modules[KINEMATICS_LIBRARY] = None  # Python's marker for a module that cannot be imported
             try:
                 import sapien  # noqa: F401
             except ImportError as error:

@@ -1,4 +1,4 @@
-"""The scene around the arm: an object on a plinth, lights, one camera."""
+"""Scene around the arm: an object on a plinth, lights, one camera."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from lerobot_adamanip.objects import ArticulatedObject, Material, Shape
 from lerobot_env_adamanip.sim.articulation import NO_SELF_COLLISION, add_visual, build_object, sapien_pose
 
 PERSON_VIEW = 512
-"""Side of the picture that ManiSkill renders for people [px]."""
+"""Side length of ManiSkill's image for people [px]."""
 _PLINTH, _COLUMN = Material((0.45, 0.36, 0.27), 0.8), Material((0.25, 0.26, 0.28), 0.7)
 
 
 @dataclass(frozen=True)
 class Visible:
-    """Something rigid to be seen: the SAPIEN entity that knows where it is, and its shapes."""
+    """A visible rigid body: the SAPIEN entity with its pose, and its shapes."""
 
     entity: Any
     shapes: tuple[Shape, ...]
 
 
 class ObjectScene:
-    """An object on a surface at ``floor_z`` [m], and the plinth under it, ``plinth_least`` [m] or more to each side.
+    """An object at height ``floor_z`` [m] on a plinth that extends at least ``plinth_least`` [m] to each side.
 
-    Where the ground is below 0, the robot's base stands on a column.
+    If the ground is below 0, the robot's base stands on a column.
     """
 
     def __init__(
@@ -53,7 +53,7 @@ class ObjectScene:
         entities = {made.entity.name: made.entity for made in self.articulation._objs[0].links}
         links = [Visible(entities[link.name], link.shapes) for link in obj.links]
         self.visible: tuple[Visible, ...] = (*column, *plinth, *links)
-        """All that can be seen but the arm and the ground."""
+        """All visible bodies except the arm and the ground."""
 
     def _build_plinth(self, scene: ManiSkillScene, least: float) -> Visible:
         depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
@@ -65,7 +65,7 @@ class ObjectScene:
         return Visible(builder.build_kinematic(name="plinth")._objs[0], (shape,))
 
     def place(self, object_in_base: NDArray[np.float64]) -> None:
-        """Puts the object's root at (4, 4) with its joints at zero, and the plinth under it."""
+        """Moves the object's root to a pose (4, 4) with its joints at zero, and the plinth below it."""
         self.articulation.set_pose(sapien_pose(object_in_base))
         self.articulation.set_qpos(np.zeros((1, self.articulation.max_dof), np.float32))
         if self._plinth is None:
@@ -77,7 +77,7 @@ class ObjectScene:
 
 
 def _build_column(scene: ManiSkillScene, height: float) -> Visible:
-    """What the robot's base stands on, above lower ground: to be seen; nothing comes near it."""
+    """Builds the column of the robot's base above lower ground; it is only visual, and nothing comes near it."""
     shape = Shape("box", (0.10, 0.10, height / 2), np.eye(4), _COLUMN, collides=False)
     builder = _builder(scene, shape)
     builder.initial_pose = sapien.Pose([-0.05, 0, -height / 2])
@@ -99,7 +99,7 @@ def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
 
 
 def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, Any]:
-    """Returns a pose for each of `CAMERAS`; eye and target are drawn within ``shift`` [m] along each axis."""
+    """Returns a pose for each of `CAMERAS`; eye and target are sampled within ``shift`` [m] along each axis."""
     poses = {}
     for name, view in CAMERAS.items():
         eye = np.asarray(view.eye) + rng.uniform(-shift, shift, 3)
@@ -108,7 +108,7 @@ def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, Any]:
 
 
 def camera_config(name: str, pose: Any, size: int, shader: str) -> CameraConfig:
-    """Returns one of `CAMERAS` at a drawn pose, for pictures of ``size`` [px]."""
+    """Returns one of `CAMERAS` at a sampled pose, for images of ``size`` [px]."""
     return CameraConfig(name, pose, size, size, CAMERAS[name].field_of_view, 0.01, 10, shader_pack=shader)
 
 
@@ -121,9 +121,9 @@ def person_camera() -> CameraConfig:
 
 @functools.cache
 def freeze_gc_once() -> None:
-    """Takes the objects that exist now out of later collections: ManiSkill asks for a full one before each scene.
+    """Excludes all present objects from later garbage collections; ManiSkill runs a full one before each scene.
 
-    A process that has imported torch and LeRobot holds a million of them; looking at each took 0.25 s of every reset.
+    A process with torch and LeRobot has a million objects; checking them took 0.25 s of every reset.
     """
     gc.collect()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""Portraits: an object alone in a small studio, photographed from the front. For people; nothing is trained on them."""
+"""Thumbnails: an object in a small studio, from the front. For people only; no training uses them."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from lerobot_env_adamanip.sim.renderer import empty_scene
 
 FIELD_OF_VIEW = np.deg2rad(26)
 OVERSAMPLING = 2
-"""Rendered this many times larger along each side and averaged: SAPIEN's rasteriser does not smooth edges."""
+"""Supersampling factor along each side, because SAPIEN's rasteriser does not smooth edges."""
 _FLOOR_COLOR = (0.60, 0.61, 0.63)
 
 
 def render_thumbnail(obj: ArticulatedObject, *, size: int = 256, open_fraction: float = 0.0) -> NDArray[np.uint8]:
-    """Returns a picture (size, size, 3) of an object; raises `SimulatorError` if nothing renders here.
+    """Returns an image (size, size, 3) of an object; raises `SimulatorError` if this machine cannot render.
 
-    Doors and lids stand open by ``open_fraction`` of their range; knobs stay where they are.
+    Doors and lids are open by ``open_fraction`` of their range; knobs stay at rest.
     """
     scene = _studio(obj)
     articulation = build_object(scene, obj, np.eye(4))._objs[0]
@@ -38,7 +38,7 @@ def render_thumbnail(obj: ArticulatedObject, *, size: int = 256, open_fraction: 
     camera.take_picture()
     rendered = np.asarray(camera.get_picture("Color"))[..., :3]
     if rendered.dtype == np.uint8:
-        # The picture's format is global in SAPIEN, and ManiSkill's cameras set it to bytes.
+        # SAPIEN's image format is global, and ManiSkill's cameras set it to bytes.
         rendered = rendered / np.float32(255)
     smooth = rendered.reshape(size, OVERSAMPLING, size, OVERSAMPLING, 3).mean(axis=(1, 3))
     picture: NDArray[np.uint8] = np.clip(255 * smooth + 0.5, 0, 255).astype(np.uint8)
@@ -50,13 +50,13 @@ def _posture(obj: ArticulatedObject, articulation: Any, open_fraction: float) ->
     for active in articulation.active_joints:
         joint = obj.joint(active.name.rsplit("_", 1)[-1])
         lower, upper = joint.limits
-        # A joint that goes both ways from rest is a knob; one that starts at its end opens.
+        # A joint that moves both ways from rest is a knob; one that rests at its limit opens.
         positions.append(open_fraction * upper if lower == 0.0 else 0.0)
     return np.asarray(positions, np.float32)
 
 
 def _camera_pose(obj: ArticulatedObject) -> sapien.Pose:
-    """Looks at the middle of the object from the front and above, from where an open door shows the inside."""
+    """Returns a pose that looks at the object's middle from the front and above, past an open door to the inside."""
     width, depth, height = obj.size
     joints = [link.joint for link in obj.links if link.joint is not None]
     height += sum(joint.limits[1] * max(0.0, joint.axis[2]) for joint in joints if joint.kind == "prismatic")
@@ -76,7 +76,7 @@ def _camera_side(obj: ArticulatedObject) -> float:
 
 
 def _studio(obj: ArticulatedObject) -> ManiSkillScene:
-    """A scene with a floor that has no end, soft light from everywhere, and a lamp that casts a shadow."""
+    """Returns a scene with an endless floor, soft ambient light, and a lamp that casts a shadow."""
     scene = empty_scene()
     raw = scene.sub_scenes[0]
     raw.set_environment_map(_surroundings())

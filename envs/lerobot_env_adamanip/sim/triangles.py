@@ -1,6 +1,6 @@
-"""What can be seen, as triangles: of our shapes and of the robot's visual meshes. No renderer is asked.
+"""Triangles of all visible shapes and of the robot's visual meshes, without a renderer.
 
-Round shapes are cut as SAPIEN's renderer cuts them, so that a ray meets the very facets that are drawn.
+Round shapes are divided as in SAPIEN's renderer, so that rays hit exactly the rendered facets.
 """
 
 from __future__ import annotations
@@ -20,22 +20,22 @@ from lerobot_adamanip.util.errors import SimulatorError
 Triangles = NDArray[np.float32]
 """(N, 3, 3) corners [m]."""
 _AROUND, _ALONG = 32, 8
-"""Facets of SAPIEN's round shapes around their axis, and of a capsule's end from its edge to its tip."""
+"""Facets of SAPIEN's round shapes: around the axis, and from the edge of a capsule's end to its tip."""
 _NONE: Triangles = np.zeros((0, 3, 3), np.float32)
 
 
 def shapes_triangles(shapes: Iterable[Shape]) -> Triangles:
-    """Returns what can be seen of a link's shapes, (N, 3, 3) [m] in its frame."""
+    """Returns the visible triangles of a link's shapes, (N, 3, 3) [m] in its frame."""
     return _joined(_placed(shape_triangles(shape), shape.pose_in_link) for shape in shapes if shape.visible)
 
 
 _UNMOVED = 0.01
-"""Assimp, by which SAPIEN reads files, takes a node's transform whose numbers are this near to the identity's for it:
-the Panda's fourth link is drawn 3 mm beside where its file has it."""
+"""Tolerance at which Assimp, SAPIEN's file reader, treats a node's transform as the identity: the Panda's fourth link
+is rendered 3 mm beside its position in the file."""
 
 
 def shape_triangles(shape: Shape) -> Triangles:
-    """Returns a shape's surface, (N, 3, 3) [m] in its own frame; round ones have their axis along x."""
+    """Returns a shape's surface, (N, 3, 3) [m] in its own frame; the axis of round shapes is x."""
     if shape.kind == "box":
         return box_triangles(shape.size)
     if shape.kind == "cylinder":
@@ -52,7 +52,7 @@ def shape_triangles(shape: Shape) -> Triangles:
 
 
 def box_triangles(half_size: Iterable[float]) -> Triangles:
-    """Returns the twelve triangles of a box of these half extents [m], (12, 3, 3)."""
+    """Returns the twelve triangles of a box with these half extents [m], (12, 3, 3)."""
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
     sides = np.array([[0, 1, 3, 2], [4, 5, 7, 6], [0, 1, 5, 4], [2, 3, 7, 6], [0, 2, 6, 4], [1, 3, 7, 5]])
     quads = (corners * np.asarray(tuple(half_size), np.float32))[sides]
@@ -60,7 +60,7 @@ def box_triangles(half_size: Iterable[float]) -> Triangles:
 
 
 def _revolved(profile: Iterable[tuple[float, float]]) -> Triangles:
-    """Turns points (x, radius) about x, facet by facet; facets without area are left out."""
+    """Revolves points (x, radius) about x, facet by facet; omits facets without area."""
     outline = np.array(tuple(profile))
     angles = 2 * np.pi * np.arange(_AROUND) / _AROUND
     around = np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -76,7 +76,7 @@ def _revolved(profile: Iterable[tuple[float, float]]) -> Triangles:
 
 @functools.cache
 def robot_triangles(urdf: Path) -> Mapping[str, Triangles]:
-    """Returns link name -> (N, 3, 3) [m] in that link's frame, of the visual meshes of a robot's description.
+    """Returns link name -> (N, 3, 3) [m] in that link's frame, for the visual meshes of a robot's URDF.
 
     Raises:
         SimulatorError: a visual is neither a mesh nor a box.
@@ -88,7 +88,7 @@ def robot_triangles(urdf: Path) -> Mapping[str, Triangles]:
 
 @functools.cache
 def robot_outlines(urdf: Path) -> Mapping[str, NDArray[np.float64]]:
-    """Returns link name -> corners (N, 3) [m] of the convex hull of what `robot_triangles` has of it."""
+    """Returns link name -> corners (N, 3) [m] of the convex hull of its `robot_triangles`."""
     points = {name: triangles.reshape(-1, 3).astype(np.float64) for name, triangles in robot_triangles(urdf).items()}
     return {name: each[ConvexHull(each).vertices] for name, each in points.items()}
 
@@ -105,7 +105,7 @@ def _visual(urdf: Path, geometry: Geometry) -> Triangles:
 
 
 def _file_triangles(path: Path) -> NDArray[np.float64]:
-    """Returns a mesh file's triangles (N, 3, 3) where SAPIEN has them, in the file's unit."""
+    """Returns a mesh file's triangles (N, 3, 3) as SAPIEN places them, in the file's unit."""
     import trimesh
 
     scene, parts = trimesh.load_scene(path, process=False), []

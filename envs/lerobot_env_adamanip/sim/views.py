@@ -1,4 +1,4 @@
-"""Clouds and pictures of one episode, each made when it is asked for."""
+"""Point clouds and images of one episode, created on request."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from lerobot_env_adamanip.sim.scene import ObjectScene
 
 @dataclass(frozen=True)
 class SimObservation:
-    """One moment of the simulator."""
+    """State and images of the simulator at one moment."""
 
     images: dict[str, NDArray[np.uint8]]
-    """Camera -> (H, W, 3); empty if none was asked for."""
+    """Camera -> (H, W, 3); empty unless requested."""
     points_in_base: Cloud
-    """(M, 3) [m], robot base frame, in scan order: what the front camera sees, at least of the workspace."""
+    """(M, 3) [m], robot base frame, in scan order: points of the front camera, covering at least the workspace."""
     qpos: NDArray[np.float64]
     qvel: NDArray[np.float64]
     effort: NDArray[np.float64]
@@ -39,10 +39,10 @@ class SimObservation:
 
 @dataclass
 class Views:
-    """The cameras of one episode.
+    """Cameras of one episode.
 
-    ``camera`` maps a size [px] and a name to a configuration. Clouds are of the pixels of a depth picture of
-    ``depth_size`` [px]. ``render_backend`` and ``cloud_source`` are options of `EnvironmentOptions`.
+    ``camera`` maps a size [px] and a name to a configuration. Clouds have the pixels of a depth image of ``depth_size``
+    [px]. ``render_backend`` and ``cloud_source`` are options of `EnvironmentOptions`.
     """
 
     objects: ObjectScene
@@ -56,17 +56,17 @@ class Views:
     _scenes: dict[str, PictureScene] = field(default_factory=dict)
 
     def points(self) -> Cloud:
-        """Returns (M, 3) [m], robot base frame: what is seen now, at least of the workspace."""
+        """Returns the present points (M, 3) [m], robot base frame, covering at least the workspace."""
         return self.depth_scene.points() if self.cloud_source == "render" else self.rays.points()
 
     def image(self, name: str = FRONT) -> NDArray[np.uint8]:
-        """Returns a camera's picture (H, W, 3) of this moment; raises `SimulatorError` if nothing renders here."""
+        """Returns a camera's present image (H, W, 3); raises `SimulatorError` if this machine cannot render."""
         if name not in self._scenes:
             self._scenes[name] = self._picture_scene(self.image_size, name)
         return self._scenes[name].take()
 
     def shaded_image(self) -> NDArray[np.uint8]:
-        """Returns the front camera's picture (H, W, 3) without a renderer: shapes without colours of their own."""
+        """Returns the front camera's image (H, W, 3) without a renderer: shapes without their own colours."""
         return shaded_picture(self.camera(self.image_size, FRONT), self.bodies())
 
     @functools.cached_property
@@ -76,7 +76,7 @@ class Views:
 
     @functools.cached_property
     def depth_scene(self) -> PictureScene:
-        """Rendered front camera of the size of `rays`."""
+        """Rendered front camera with the size of `rays`."""
         return self._picture_scene(self.depth_size, FRONT)
 
     def _picture_scene(self, size: int, name: str) -> PictureScene:
@@ -90,7 +90,7 @@ class Views:
         )
 
     def bodies(self) -> list[Body]:
-        """Returns the bodies that rays can meet."""
+        """Returns the bodies for ray casting."""
         return visible_bodies(self.objects.visible, self._robot, self._urdf)
 
     def joints(self) -> NDArray[np.float32]:
@@ -99,14 +99,14 @@ class Views:
         return np.pad(positions, (0, len(JOINT_NAMES) - len(positions))).astype(np.float32)
 
     def set_joints(self, joints: NDArray[np.float32]) -> None:
-        """Puts everything where ``joints`` (13,) had it, at rest. No physics is stepped."""
+        """Sets all joints to ``joints`` (13,), at rest, without a physics step."""
         ends = np.cumsum([each.dof for each in self._articulations])
         for articulation, positions in zip(self._articulations, np.split(joints, ends), strict=False):
             articulation.set_qpos(positions)
             articulation.set_qvel(np.zeros_like(positions))
 
     def camera_parameters(self) -> dict[str, Any]:
-        """Returns the front camera's calibration for its picture, see `sim.camera.camera_parameters`."""
+        """Returns the front camera's calibration for its image, see `sim.camera.camera_parameters`."""
         return camera_parameters(pinhole(self.camera(self.image_size, FRONT)))
 
     @property

@@ -1,12 +1,12 @@
-"""Plain ManiSkill: importing this registers every task; then ``gymnasium.make("AdaManip-Safe-v1")`` makes one.
+"""Plain ManiSkill: importing this registers all tasks; then ``gymnasium.make("AdaManip-Safe-v1")`` creates one.
 
-The classes, `SafeTask` and so on, are made from the table in `categories` and can be imported from here.
+The classes, such as `SafeTask`, are created from the table in `categories` and can be imported from here.
 """
 
 from lerobot_adamanip.util.errors import no_simulator
 from lerobot_env_adamanip.sim.sapien_import import import_sapien
 
-import_sapien()  # before ManiSkill does
+import_sapien()  # before ManiSkill imports it
 
 try:
     from lerobot_env_adamanip.sim.tasks.base import AdaManipTask
@@ -16,10 +16,10 @@ from lerobot_env_adamanip.sim.tasks.categories import CLASSES, TASKS  # noqa: E4
 
 
 def __getattr__(name: str) -> type[AdaManipTask]:
-    """Lets the classes be imported by name."""
+    """Returns a task class by name."""
     if name in CLASSES:
         return CLASSES[name]
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
-__all__ = ["TASKS", "AdaManipTask", *CLASSES]  # noqa: PLE0604  (names of classes, made from the table)
+__all__ = ["TASKS", "AdaManipTask", *CLASSES]  # noqa: PLE0604  (class names from the table)

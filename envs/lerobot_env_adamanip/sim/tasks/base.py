@@ -1,4 +1,4 @@
-"""Base of the ManiSkill tasks: one object on a plinth before a Panda, one camera, one hidden mechanism."""
+"""Base of the ManiSkill tasks: one object on a plinth in front of a Panda, one camera, one hidden mechanism."""
 
 from __future__ import annotations
 
@@ -35,39 +35,39 @@ from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 from lerobot_env_adamanip.sim.views import SimObservation, Views
 
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
-"""ManiSkill's names of CPU physics."""
+"""ManiSkill's names for CPU physics."""
 _PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
 class AdaManipTask(BaseEnv):
-    """A task of the category that its `CategoryTask` describes.
+    """A task of the category in its `CategoryTask`.
 
-    Task description: manipulate an articulated object whose mechanism cannot be seen.
-    Randomizations: object out of ``objects``; its pose, the arm's start and the camera's pose (``poses``);
-        hidden state, from a stream of its own, so that episodes that differ in it alone look the same.
+    Task description: manipulate an articulated object with a hidden mechanism.
+    Randomizations: object (``objects``); poses of object, arm and camera (``poses``); hidden state, from a separate
+        random stream, so that episodes that differ only in it look the same.
     Success conditions: a joint beyond its goal, see `Mechanism.goals`.
 
-    CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation forbids.
+    CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation does not allow.
 
-    ManiSkill's ``state`` observation is the arm's joint positions and velocities; ``info`` holds the object's joints.
-    Plain control has no key frames: from its first step on the object is not held (see `MechanismDriver`).
+    ManiSkill's ``state`` observation is the arm's joint positions and velocities; ``info`` has the object's joints.
+    Plain control has no key frames, so the object is not held after the first step (see `MechanismDriver`).
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
     SUPPORTED_REWARD_MODES: ClassVar[list[str]] = ["sparse", "none"]
     agent: AdaManipPanda
     definition: ClassVar[CategoryTask]
-    """The category's row."""
+    """Row of the category in the table of tasks."""
     placement: Placement
-    """This episode's poses, and the annotated parts in the robot's base frame."""
+    """Poses of this episode, and the annotated parts in the robot's base frame."""
     holds_the_untried: bool = True
-    """Whether joints are held until they are tried; read at reset. If not, observations show what is hidden."""
+    """Whether joints are held until a try; read at reset. If False, observations reveal the hidden state."""
     mechanism_driver: MechanismDriver
-    """This episode's mechanism, on its object."""
+    """Mechanism of this episode, with its object."""
     views: Views
-    """This episode's cameras."""
+    """Cameras of this episode."""
     _is_built = False
-    """Whether ManiSkill's own first reset is over; that scene may be out of reach."""
+    """Whether ManiSkill's own first reset is over; its scene may be unreachable."""
 
     def __init__(
         self,
@@ -111,28 +111,28 @@ class AdaManipTask(BaseEnv):
     # For `KeyframeEnv` ----------------------------------------------------------------------------------------------
 
     def execute(self, action: NDArray[np.float32]) -> Feedback:
-        """Runs one key frame, a (10,) action of the contract; see `KeyframeDriver.execute`."""
+        """Runs one key frame from a (10,) action of the contract; see `KeyframeDriver.execute`."""
         return self._arm.execute(action)
 
     def observe(self, *, image: bool = True) -> SimObservation:
-        """Returns the observation of this moment, with pictures if ``image``."""
+        """Returns the present observation, with images if ``image``."""
         points, arm = self.views.points(), self.arm_state()
         images = {name: self.views.image(name) for name in (CAMERAS if image else ())}
         return SimObservation(images, points, arm.qpos, arm.qvel, self.effort, self.feedback)
 
     @property
     def obj(self) -> ArticulatedObject:
-        """The episode's object."""
+        """Object of this episode."""
         return self._objects.obj
 
     @property
     def mechanism(self) -> Mechanism[Any]:
-        """The rules of the episode's object."""
+        """Mechanism of this episode's object."""
         return self.mechanism_driver.mechanism
 
     @property
     def feedback(self) -> Feedback:
-        """What the arm felt at the latest key frame."""
+        """Feedback of the latest key frame."""
         return self._arm.feedback
 
     @property
@@ -142,25 +142,25 @@ class AdaManipTask(BaseEnv):
 
     @property
     def goal(self) -> tuple[NDArray[np.float64], float]:
-        """The latest key frame's commanded tool pose (4, 4), as it was clipped, and gripper opening."""
+        """Commanded tool pose (4, 4), after clipping, and gripper opening of the latest key frame."""
         return self._arm.goal
 
     def arm_state(self) -> ArmState:
-        """Returns the arm's joints as they are now."""
+        """Returns the present state of the arm's joints."""
         raw = self.agent.robot._objs[0]
         qpos, qvel = np.asarray(raw.get_qpos(), np.float64), np.asarray(raw.get_qvel(), np.float64)
         return ArmState(qpos[:NUM_ARM_JOINTS], qvel[:NUM_ARM_JOINTS], qpos[NUM_ARM_JOINTS:])
 
     def joint_positions(self) -> dict[str, float]:
-        """Returns the object's joint positions [rad or m]: privileged, for mechanism, success and records."""
+        """Returns the object's joint positions [rad or m]; privileged, for mechanism, success and records."""
         return self.mechanism_driver.joint_positions()
 
     def hidden_state(self) -> dict[str, Any]:
-        """Returns the hidden state: privileged, never part of an observation."""
+        """Returns the hidden state; privileged, never part of an observation."""
         return self.mechanism_driver.hidden_state()
 
     def succeeded(self) -> bool:
-        """Returns whether the success conditions hold."""
+        """Returns whether the task has succeeded."""
         return self.mechanism_driver.succeeded()
 
     # ManiSkill's life cycle -------------------------------------------------------------------------------------
@@ -173,7 +173,7 @@ class AdaManipTask(BaseEnv):
 
     @property
     def _default_sensor_configs(self) -> list[CameraConfig]:
-        """Cameras of plain ManiSkill; those of key frames are in `views`."""
+        """Returns the cameras of plain ManiSkill; those of key frames are in `views`."""
         names = () if self._obs_mode == "none" else CAMERAS
         cameras = [self._camera(self._image_size, name) for name in names]
         return [without_reflections(camera) for camera in cameras] if self.scene.can_render() else cameras
@@ -248,11 +248,11 @@ class AdaManipTask(BaseEnv):
         )
 
     def _stream(self, stream: int) -> np.random.Generator:
-        """A generator for each kind of draw: the hidden draw does not change the others."""
+        """Returns a separate generator for each kind of random value, so that the hidden state changes no other."""
         return np.random.default_rng([int(self._episode_seed[0]), stream])
 
     def step(self, action: Any) -> Any:
-        """ManiSkill's step: one control step."""
+        """Runs ManiSkill's step: one control step."""
         self.mechanism_driver.update(detent=False, tried=self.mechanism.joints)
         return super().step(action)
 
@@ -260,7 +260,7 @@ class AdaManipTask(BaseEnv):
         self.mechanism_driver.apply()
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
-        """One control tick of a key frame, see `MechanismDriver`."""
+        """Runs one control tick of a key frame, see `MechanismDriver`."""
         driver = self.mechanism_driver
         closing, grasped = self._arm.closing, self._arm.moving_closed
         driver.update(detent=closing, tried=self._touch.joints() if grasped and driver.untried else ())
@@ -273,18 +273,18 @@ class AdaManipTask(BaseEnv):
     # Outcome ----------------------------------------------------------------------------------------------------
 
     def evaluate(self) -> dict[str, Any]:
-        """Returns success and the object's joint positions [rad or m], a tensor (1,) each."""
+        """Returns success and the object's joint positions [rad or m], each as a tensor (1,)."""
         values = {"success": self.mechanism_driver.succeeded(), **self.joint_positions()}
         return {name: torch.tensor([value]) for name, value in values.items()}
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
-        """1 while the success conditions hold."""
+        """Returns 1 while the task has succeeded."""
         reward: torch.Tensor = info["success"].float()
         return reward
 
 
 def _require_one_on_cpu(sim_backend: str, num_envs: int) -> None:
-    """Raises `ConfigurationError` for physics on a GPU, or several environments in a process."""
+    """Raises `ConfigurationError` for GPU physics or several environments in one process."""
     if sim_backend not in CPU_BACKENDS or num_envs != 1:
         raise ConfigurationError(
             "AdaManip tasks run one environment per process on CPU physics: their joint limits change at run time.",

@@ -1,4 +1,4 @@
-"""The categories' tasks, as a table: a row makes a ManiSkill task, ``AdaManip-Safe-v1``, and its class, `SafeTask`."""
+"""Table of the categories' tasks: each row makes a ManiSkill task, ``AdaManip-Safe-v1``, and its class `SafeTask`."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ from lerobot_env_adamanip.sim.tasks.category_task import (
 )
 
 MAX_STEPS = 2000
-"""Control steps of an episode in plain ManiSkill, where no key frames are counted."""
+"""Control steps per episode in plain ManiSkill, which has no key frames."""
 CONVERGED, SLIM = 24, 40
-"""Solver iterations. With ManiSkill's 15 friction has not converged: a blocked pull slips 10 mm where it should hold,
-and fingers sink 2 mm into a cap, a third of a slim pen's, which needs more."""
+"""Solver iterations. With ManiSkill's 15, friction does not converge: a blocked pull slips 10 mm instead of holding,
+and fingers sink 2 mm into a cap. That is a third of a slim pen's cap, which needs more iterations."""
 WIDE_SWING = float(np.deg2rad(32))
-"""How far the arm must be able to swing a full-size leaf [rad]: past success at 26 degrees, 0.44 m of way."""
+"""Required swing of a full-size leaf [rad]: more than success at 26 degrees; 0.44 m of travel."""
 PUSH_REACH = 0.025
-"""How far the arm must be able to push a button in [m]: upstream's goes 0.1 m, and success is at 0.01."""
+"""Required push depth of a button [m]: upstream's travel is 0.1 m, and success is at 0.01."""
 
 ROWS = (
     CategoryTask("bottle", turn_then_open("cap", "cap", "lift", LIFT_REACH),
@@ -63,7 +63,7 @@ ROWS = (
 
 
 def register_task(row: CategoryTask) -> type[AdaManipTask]:
-    """Makes a row's class and registers it with ManiSkill and Gymnasium."""
+    """Creates a row's class and registers it with ManiSkill and Gymnasium."""
     category = CATEGORIES[row.category]
     contents = {"definition": row, "__doc__": category.instruction, "__module__": __name__}
     made = type(f"{category.camel_name}Task", (AdaManipTask,), contents)
@@ -72,6 +72,6 @@ def register_task(row: CategoryTask) -> type[AdaManipTask]:
 
 
 TASKS = {row.category: register_task(row) for row in ROWS}
-"""Category -> its task's class."""
+"""Category -> class of its task."""
 CLASSES = {made.__name__: made for made in TASKS.values()}
 """Class name, ``SafeTask``, -> class."""

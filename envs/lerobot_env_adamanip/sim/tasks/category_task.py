@@ -1,4 +1,4 @@
-"""A category's task: where its objects stand, what the arm must reach, and how it moves there."""
+"""Task of a category: placement of its objects, required reach, and motion settings of the arm."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from lerobot_env_adamanip.sim.placement import ExternalStand, ReachRequirement, 
 
 Reaches = Callable[[ArticulatedObject], tuple[ReachRequirement, ...]]
 SWING_REACH = float(np.deg2rad(44))
-"""The arm must be able to swing a door this far [rad]: past success, with room for a slack grip."""
+"""Required swing of a door [rad]: more than success, with a margin for a loose grip."""
 LIFT_REACH = 0.045
-"""The arm must be able to take a cap or lid this far [m]: past success."""
+"""Required lift of a cap or lid [m]: more than success."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,14 +27,14 @@ class CategoryTask:
 
     Attributes:
         category: ``safe``.
-        reaches: the part motions the arm has to be able to make, of an object.
+        reaches: returns the part motions of an object that the arm must be able to make.
         nominal_x: distance of the object's front from the robot's base [m].
-        part_height: where the plinth lifts the first part to [m].
-        plinth_least: half of the plinth's least width and depth [m].
-        motion: how the arm moves, and when it gives up.
-        solver_iterations: of the physics engine for positions: how hard contacts are.
-        external: how external assets stand.
-        rest: the arm's posture at the start, and the one its elbow is drawn to (7,) [rad].
+        part_height: height of the first part on the plinth [m].
+        plinth_least: half of the plinth's minimum width and depth [m].
+        motion: limits of the arm's motion, and when a motion is aborted.
+        solver_iterations: position iterations of the physics engine; more make contacts harder.
+        external: placement of external assets.
+        rest: start posture of the arm, to which its elbow is pulled (7,) [rad].
     """
 
     category: str
@@ -48,7 +48,7 @@ class CategoryTask:
     rest: NDArray[np.float64] = field(default_factory=lambda: LEVEL_REST)
 
     def stand(self, obj: ArticulatedObject) -> Stand:
-        """Returns an object's nominal place, and the motions the arm must be able to make there."""
+        """Returns an object's nominal placement, with the motions that the arm must be able to make there."""
         reaches, where = self.reaches(obj), {"nominal_x": self.nominal_x, "part_height": self.part_height}
         if is_asset_id(obj.object_id):
             return external_stand(obj, reaches, self.external, **where)
@@ -56,7 +56,7 @@ class CategoryTask:
 
 
 def turn_then_open(part: str, key: str, final: str, far: float) -> Reaches:
-    """Returns the reach of a part that turns through all of its key joint's range, and opens by ``far`` from there."""
+    """Returns the reach for a part that turns over its key joint's range and then opens by ``far``."""
 
     def reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
         paths = [({key: turn}, {key: turn, final: far}) for turn in obj.joint(key).limits if turn]
@@ -66,19 +66,19 @@ def turn_then_open(part: str, key: str, final: str, far: float) -> Reaches:
 
 
 def safe_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
-    """The handle swings with the door, the knob turns both ways."""
+    """Returns the reach for a safe: the handle swings with the door, the knob turns both ways."""
     turn = obj.joint("knob").limits[1]
     knob = ReachRequirement("knob", ({"knob": -turn},), ({"knob": turn},))
     return ReachRequirement("handle", ({"door": SWING_REACH},)), knob
 
 
 def microwave_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
-    """The handle swings with the door, the button goes in."""
+    """Returns the reach for a microwave: the handle swings with the door, the button is pushed in."""
     button = ReachRequirement("button", ({"button": obj.joint("button").limits[1]},))
     return ReachRequirement("handle", ({"door": SWING_REACH},)), button
 
 
 def lamp_reaches(obj: ArticulatedObject) -> tuple[ReachRequirement, ...]:
-    """The knob turns both ways, and goes down."""
+    """Returns the reach for a lamp: the knob turns both ways and goes down."""
     turn, travel = obj.joint("knob").limits[1], obj.joint("button").limits[1]
     return (ReachRequirement("knob", ({"knob": -turn},), ({"knob": turn},), ({"button": travel},)),)
