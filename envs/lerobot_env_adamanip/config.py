@@ -48,7 +48,7 @@ class AdaManipEnvConfig(EnvConfig):
     task: str | None = None
     # Number of the suite's categories to evaluate in parallel threads.
     max_parallel_tasks: int = 1
-    # No effect: gymnasium.make does not create these environments.
+    # Without effect: gymnasium.make does not create these environments.
     disable_env_checker: bool = True
     # Key frames per second of a recorded video. A step is one key frame, so this is not a control rate.
     fps: int = FPS
@@ -60,7 +60,7 @@ class AdaManipEnvConfig(EnvConfig):
     num_points: int = DEFAULT_NUM_POINTS
     # Side length of the front image [px].
     image_size: int = IMAGE_SIZE
-    # Whether to observe the front image: true, false, or unset: if this machine renders. false is faster without a GPU.
+    # Whether to observe the front image: true, false, or unset (if this machine renders). Faster if false.
     observe_images: bool | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
@@ -85,13 +85,13 @@ class AdaManipEnvConfig(EnvConfig):
     logged_seeds: tuple[int, int] | None = None
     # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # Former name of --env.poses; setting it raises an error with the new name.
+    # The former name of --env.poses; setting it raises an error with the new name.
     pose_preset: str | None = None
-    # Former name of --env.mechanism_rules; setting it raises an error with the new name.
+    # The former name of --env.mechanism_rules; setting it raises an error with the new name.
     mechanism_preset: str | None = None
-    # Set automatically: shapes of observations and action.
+    # Set by itself: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    # Set automatically: their names in datasets.
+    # Set by itself: their names in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
