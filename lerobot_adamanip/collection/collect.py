@@ -73,7 +73,7 @@ class CollectOptions:
         require_repo_id(self.repo_id)
         if self.workers < (self.cluster is None) or self.max_attempts < 1 or not self.worker_timeout > 0:
             raise ConfigurationError(
-                "Too small.",
+                "An option is too small.",
                 got=f"workers = {self.workers}, max_attempts = {self.max_attempts}, timeout = {self.worker_timeout}",
                 allowed="1 or more, and a timeout above 0",
                 hint="--workers 2 --max-attempts 5",
@@ -239,7 +239,7 @@ def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
             f"{len(failures)} episodes could not be recorded.",
             got="\n           ".join(failures),
             allowed=f"a success within {options.max_attempts} attempts each",
-            hint="the same command with a larger --max-attempts, or --allow-missing to do without",
+            hint="the same command with a larger --max-attempts, or with --allow-missing",
         )
     return failures
 

@@ -82,10 +82,10 @@ class CollectedDataset:
             return CollectedEpisode(self._columns(table), record, read_start(row["start"]))
         except (ValueError, KeyError, TypeError, IndexError) as error:
             raise DatasetError(
-                "Wrong values in an episode of the dataset.",
+                "An episode of the dataset has invalid values.",
                 got=f"episode {number} of {self.source.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint="another episode, or collect the dataset again",
+                hint="try another episode, or collect the dataset again",
             ) from error
 
     def _record(self, row: dict[str, Any]) -> dict[str, Any]:

@@ -20,10 +20,10 @@ def require_finished(root: Path, manifest: Manifest) -> None:
     kept = None if stored.attempts is None else stored.attempts.kept
     if found != kept:
         raise DatasetError(
-            "The dataset does not have the episodes that were collected for it.",
+            "The dataset does not have the episodes of its manifest.",
             got=f"{found} episodes in {root}",
             allowed=f"{kept} episodes, as its {manifest_path(root).name} says",
-            hint="another folder",
+            hint="use another folder",
         )
 
 

@@ -59,7 +59,7 @@ def import_parts(paths: CollectionPaths, manifest: Manifest, sources: Iterable[P
                 "Nothing was recorded there.",
                 got=part.partial,
                 allowed="the folder of `adamanip collect --part K/N`",
-                hint="the same options and --part K/N, on the machine that lacks it",
+                hint="run the same options with --part K/N on the machine without it",
             )
         with lock_output(part.root, optional=True):  # a part may be read-only
             stored = read_manifest(part.partial_manifest, manifest.spec.environment.assets)

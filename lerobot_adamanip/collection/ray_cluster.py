@@ -43,7 +43,7 @@ else:
 _SET_A_TOKEN = """ray get-auth-token --generate   (once; then copy ~/.ray/auth_token to every machine)
            export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=~/.ray/auth_token
            ray stop; ray start ...   (on every machine, then the same command here)
-           or --insecure-cluster, where nobody else reaches its ports"""
+           or use --insecure-cluster, if no one else can reach its ports"""
 
 
 def node_versions() -> dict[str, str]:
@@ -63,7 +63,7 @@ def require_equal_versions(driver: Mapping[str, str], node: Mapping[str, str]) -
         raise ConfigurationError(
             f"A node of the cluster has other versions: {', '.join(different)}.",
             got=f"{node['host']}: " + "; ".join(f"{name} {node[name]}" for name in different),
-            allowed="; ".join(f"{name} {driver[name]}" for name in different) + ", as here",
+            allowed="; ".join(f"{name} {driver[name]}" for name in different) + ", as on this machine",
             hint="install the same packages on every node (pip install -c constraints.txt), then start it again",
         )
 
@@ -99,7 +99,7 @@ def require_token(environment: Mapping[str, str]) -> None:
     mode = environment.get("RAY_AUTH_MODE", "")
     if mode != "token" or not (environment.get("RAY_AUTH_TOKEN") or path.is_file()):
         raise ConfigurationError(
-            "This cluster can be reached over a network, and no token is set.",
+            "This cluster is reachable over the network, and no token is set.",
             got=f"RAY_AUTH_MODE={mode}",
             allowed="RAY_AUTH_MODE=token and RAY_AUTH_TOKEN_PATH (or RAY_AUTH_TOKEN), on every machine and here",
             hint=_SET_A_TOKEN,
@@ -159,7 +159,7 @@ def _connect(address: str, *, insecure: bool) -> None:
         raise ConfigurationError(
             "The cluster refuses the token.",
             got=f"{address}, RAY_AUTH_MODE={os.environ.get('RAY_AUTH_MODE', '')}",
-            allowed="the token that it was started with",
+            allowed="the token with which the cluster was started",
             hint="export RAY_AUTH_MODE=token RAY_AUTH_TOKEN_PATH=FILE, with a copy of its ~/.ray/auth_token",
         )
     if answer != "open":
@@ -175,10 +175,10 @@ def _connect(address: str, *, insecure: bool) -> None:
         ray.init(address, log_to_driver=False, logging_level=logging.ERROR)
     except (ConnectionError, RuntimeError) as error:  # another Python or another Ray, as Ray's message says
         raise ConfigurationError(
-            "Cannot join the cluster.",
+            "Cannot connect to the cluster.",
             got=str(error).strip(),
-            allowed="one of the same Python and Ray",
-            hint="the same versions on every machine",
+            allowed="a cluster with the same versions of Python and Ray",
+            hint="install the same versions on every machine",
         ) from error
 
 
@@ -189,8 +189,8 @@ def require_closed(address: str) -> None:
         raise ConfigurationError(
             "This cluster is open: anyone who reaches its ports runs code on it.",
             got=f"{address} answers without a token",
-            allowed="one whose every `ray start` had RAY_AUTH_MODE=token and a token",
-            hint="restart it with both set, or --insecure-cluster where nobody else reaches its ports",
+            allowed="a cluster with RAY_AUTH_MODE=token and a token at every `ray start`",
+            hint="restart it with both set, or use --insecure-cluster if no one else can reach its ports",
         )
 
 

@@ -136,10 +136,10 @@ def _require_same_work(output: OutputFolder, manifest: Manifest, dataset: Collec
     source = output.work / SOURCE
     if not source.exists() or source.read_text() != identity(dataset.source.root):
         raise DatasetError(
-            "Pictures of another dataset wait there.",
+            "Pictures of another dataset are in the work folder.",
             got=output.work,
-            allowed="pictures of the same episodes",
-            hint="another --out; or finish the other dataset first",
+            allowed="unfinished pictures of the same episodes",
+            hint="use another --out, or finish the other dataset first",
         )
 
 
@@ -150,10 +150,10 @@ def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
     read_back(root)
     if load_check(root)["total_episodes"] != episodes or selection_path(root).exists():
         raise DatasetError(
-            "There is another dataset at the root of the new one.",
+            "The output folder contains another dataset.",
             got=root,
             allowed=f"a folder that does not exist, or the {episodes} episodes with pictures",
-            hint="another --out",
+            hint="use another --out",
         )
     output.discard()
 
@@ -166,7 +166,7 @@ def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
             "No pictures can be added to this dataset.",
             got=f"{root} {lacks}",
             allowed="one made by `adamanip collect --no-images`",
-            hint="another dataset",
+            hint="use another dataset",
         )
     return CollectedDataset.open(root, assets)
 
@@ -183,7 +183,7 @@ def _pictured(source: CollectedDataset, make_env: EnvFactory) -> Manifest:
             f"The dataset was recorded under another fingerprint: {', '.join(changed)} differ.",
             got="; ".join(f"{name} = {found.get(name)}" for name in changed),
             allowed="; ".join(f"{name} = {before.fingerprint.get(name)}" for name in changed),
-            hint="the code and versions of before: other code may make other scenes of its seeds",
+            hint="use the code and versions of the recording: other code may make other scenes from its seeds",
         )
     return replace(before, spec=spec, fingerprint=found)
 
@@ -197,10 +197,10 @@ def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: in
     at_start = record["late"] or bool(np.abs(env.joints() - joints[0]).max() <= TOLERANCE)
     if env.camera_parameters() != record["camera"] or not at_start:
         raise DatasetError(
-            "The scene of an episode comes out differently now.",
+            "The scene of an episode comes out differently than recorded.",
             got=f"seed {record['seed']} of {record['object_id']}",
-            allowed="the camera and the joints that were recorded",
-            hint="the code and versions of before",
+            allowed="the recorded camera and joints",
+            hint="use the code and versions of the recording",
         )
     pictures = [env.pictures_at(each) for each in joints]
     images = {image_column(name): np.stack([each[name] for each in pictures]) for name in pictures[0]}

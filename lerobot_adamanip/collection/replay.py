@@ -122,7 +122,7 @@ def _open(root: Path, episode: int, assets: str | Path | None) -> CollectedDatas
     load_check(root)
     if not manifest_path(root).exists():
         raise DatasetError(
-            "This dataset does not say how its scenes were made: it was recorded on a robot, or merged of several.",
+            "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
             got=f"{as_typed(root.absolute())}, without meta/collection.json",
             allowed="a dataset of `adamanip collect`, or a part of one",
             hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())}",
@@ -146,10 +146,10 @@ def _write_video(video: str | Path, dataset: CollectedDataset, episode: int, pic
 def _require_content(manifest: Manifest, object_id: str, assets: str | Path | None) -> None:
     if assets is not None and asset_hash(assets, object_id) != manifest.external_assets[object_id]:
         raise DatasetError(
-            "The external asset is not the one that was recorded.",
+            "The external asset differs from the recorded one.",
             got=f"{object_id} in {assets}",
-            allowed="a folder of the same content",
-            hint="--assets with the folder of before",
+            allowed="a folder with the same content",
+            hint="--assets DIR with the folder of the recording",
         )
 
 
