@@ -144,7 +144,7 @@ class AdamanipFranka(Robot):
         config = self.config
         if config.box_lower is None or config.box_upper is None:
             raise ConfigurationError(
-                "The safety box of the hand is missing.",
+                "The box that the hand must stay in is missing.",
                 got=f"box_lower={config.box_lower}, box_upper={config.box_upper}",
                 allowed="two corners [m, base frame]; no default is safe on every table",
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
