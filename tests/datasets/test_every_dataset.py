@@ -35,8 +35,7 @@ REFUSED: Mapping[tuple[str, str], str] = {
     **{(TICKS_ALONE, taker): "lerobot-record" for taker in NEED_KEY_FRAMES},
     (TICKS_ALONE, "train"): "adamanip collect",
     (TICKS_ALONE, "keyframes"): "--camera with a depth camera",
-    **{(maker, "replay"): "adamanip view" for maker in ROBOTS},
-    **{(maker, "replay"): "adamanip replay" for maker in MIXED},
+    **{(maker, "replay"): "adamanip view" for maker in (*ROBOTS, *MIXED)},
     **{(maker, "keyframes"): "adamanip merge" for maker in (*COLLECTED, *ROBOTS, *MIXED)},
 }
 """(maker, taker) -> command that the error names."""
