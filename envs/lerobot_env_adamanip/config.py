@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 
 def hidden_value() -> Any:
-    """Field that fixes a hidden value by its name; None samples it."""
+    """Returns a field that fixes a hidden value by its name; None samples it."""
     return field(default=None, metadata={"hidden": True})
 
 

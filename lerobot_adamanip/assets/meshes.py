@@ -157,7 +157,7 @@ def _hull(vertices: NDArray[np.float64]) -> Any:
 
 
 def _fills(mesh: Any, hull: Any) -> bool:
-    """Whether a mesh is close to its hull: by volume if closed, otherwise by the hull's distance to the surface."""
+    """Returns whether a mesh is close to its hull: by volume if closed, otherwise by their distance."""
     from scipy.spatial import cKDTree
     from trimesh.sample import sample_surface
 

@@ -63,13 +63,13 @@ class BenchmarkFolder:
         return note if isinstance(note, StepCost) else None
 
     def is_done(self, step: Step) -> bool:
-        """Whether a step is done and its product still exists."""
+        """Returns whether a step is done and its product still exists."""
         product = self.product(step)
         made = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
         return self.cost(step) is not None and made.get(step.kind, product / "meta" / "info.json").exists()
 
     def is_begun(self, step: Step) -> bool:
-        """Whether a step was started; it may be done."""
+        """Returns whether a step was started; it may be done."""
         return self._begun(step) > 0
 
     def _begun(self, step: Step) -> int:

@@ -123,7 +123,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Hear
 def writing_session(
     job: RecordingJob, paths: CollectionPaths
 ) -> Iterator[Callable[[EpisodeSpec, Heartbeat], ItemOutcome]]:
-    """Like `recording_session`, for local workers: also writes the episodes."""
+    """Yields a function like `recording_session`, for local workers, that also writes the episodes."""
     with recording_session(job) as record:
         yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 

@@ -60,7 +60,7 @@ def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: B
 
 
 def is_half_of_range(name: str) -> bool:
-    """Whether a name means half of a continuous range; its boundary differs between evaluations."""
+    """Returns whether a name means half of a continuous range; the boundary differs between evaluations."""
     return " < " in name or " >= " in name
 
 

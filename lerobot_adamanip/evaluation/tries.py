@@ -21,8 +21,8 @@ MIN_AJAR = 5e-3
 """Position of the opening joint above which it counts as ajar [rad or m]."""
 PART_HELD, KEY_HELD, NO_FURTHER = "part held", "key held", "no further"
 FAILED_AT = (PART_HELD, KEY_HELD, NO_FURTHER)
-"""Cause of a failed try: the opening joint is blocked, the other joint is blocked, or a joint is at its limit after an
-earlier move in the same direction."""
+"""Cause of a failed try: the opening or the other joint is blocked, or a joint is at its limit after an earlier move
+in the same direction."""
 
 
 @dataclass(frozen=True)
@@ -77,7 +77,7 @@ def best_tries(record: EpisodeRecord) -> float:
 
 
 def tried_locked_first(record: EpisodeRecord) -> bool:
-    """Whether the first try was a pull at a locked door."""
+    """Returns whether the first try was a pull at a locked door."""
     return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
 
 

@@ -21,37 +21,37 @@ def draw[Design](design: Callable[..., Design], rng: np.random.Generator) -> Des
 
 
 def computed(draw_value: Callable[[np.random.Generator, Any], object]) -> Any:
-    """Field computed from the generator and from the fields above it (as attributes)."""
+    """Returns a field computed from the generator and from the fields above it (as attributes)."""
     return field(metadata={"draw": draw_value})
 
 
 def uniform(low: float, high: float) -> Any:
-    """Uniformly sampled number."""
+    """Returns a field with a uniformly sampled number."""
     return computed(lambda rng, _: rng.uniform(low, high))
 
 
 def chosen(words: Sequence[str], p: Sequence[float] | None = None) -> Any:
-    """Sampled word, with probabilities ``p`` (default: equal)."""
+    """Returns a field with a sampled word, with probabilities ``p`` (default: equal)."""
     return computed(lambda rng, _: str(rng.choice(words, p=p)))
 
 
 def picked(values: Sequence[object]) -> Any:
-    """Sampled element of values that are not words."""
+    """Returns a field with a sampled element of values that are not words."""
     return computed(lambda rng, _: values[int(rng.integers(len(values)))])
 
 
 def shaded(colors: Sequence[Sequence[float]], low: float, high: float) -> Any:
-    """Sampled colour (3,), multiplied by a sampled brightness."""
+    """Returns a field with a sampled colour (3,), multiplied by a sampled brightness."""
     return computed(lambda rng, _: np.asarray(colors[int(rng.integers(len(colors)))]) * rng.uniform(low, high))
 
 
 def chance(share: float) -> Any:
-    """True with the given probability."""
+    """Returns a field that is True with the given probability."""
     return computed(lambda rng, _: bool(rng.random() < share))
 
 
 def either_side() -> Any:
-    """-1 or 1."""
+    """Returns a field that is -1 or 1."""
     return computed(lambda rng, _: int(rng.choice([-1, 1])))
 
 

@@ -91,5 +91,5 @@ def _without_docstrings(source: str) -> ast.Module:
 
 
 def _is_text(node: ast.AST) -> bool:
-    """Whether a statement is a docstring of a function, class, module or attribute."""
+    """Returns whether a statement is a docstring of a function, class, module or attribute."""
     return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)

@@ -83,7 +83,7 @@ class KeyframeDriver:
         """Runs one key frame and returns its feedback.
 
         A stalled motion ends at rest under strain. State, cloud and effort are measured then, like the external torque
-        of a robot that leans against something; the next key frame first releases the strain. An arm that was stopped
+        of a robot that leans against something. The next key frame first releases the strain. An arm that was stopped
         on its way, or pushed away, is braked first.
 
         Raises:
@@ -199,7 +199,7 @@ class KeyframeDriver:
         return self._strained >= self.limits.stall_ticks
 
     def _lags(self, target: Array) -> bool:
-        """Whether the tool lags ``target`` by more than inertia explains."""
+        """Returns whether the tool lags ``target`` by more than inertia explains."""
         wanted, actual = self.kinematics.tcp_in_base(target), self.kinematics.tcp_in_base(self._read().qpos)
         x, y, z = (wanted[:3, 3] - actual[:3, 3]).tolist()
         if x * x + y * y + z * z > self.limits.stall_position**2:

@@ -72,7 +72,7 @@ class IKResult:
     rotation_error: float
 
     def within(self, position: float, rotation: float) -> bool:
-        """Whether both errors are below the given bounds [m, rad]."""
+        """Returns whether both errors are below the given bounds [m, rad]."""
         return self.position_error <= position and self.rotation_error <= rotation
 
 
@@ -80,7 +80,7 @@ class ArmKinematics:
     """Forward and inverse kinematics of the Panda by SAPIEN's Pinocchio model.
 
     SAPIEN's solver has no joint limits and leaves the seventh joint undefined. This one uses damped least squares
-    inside the limits and pulls the redundant degree of freedom to a rest posture, so that equal poses get equal elbows.
+    inside the limits and pulls the redundant degree of freedom to a rest posture: equal poses get equal elbows.
     """
 
     def __init__(

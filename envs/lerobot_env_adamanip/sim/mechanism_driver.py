@@ -11,13 +11,12 @@ from lerobot_adamanip.mechanisms import Limits, Mechanism
 class MechanismDriver:
     """Keeps an articulation within its mechanism's limits, and hides the mechanism until a try.
 
-    At reset every joint is *held*: its limits are closed around its position, for every hidden state, like the latch,
-    detent or friction of a real joint below its break-away torque. The simulator is therefore bit-identical under
-    every hidden state. A try releases a joint for the rest of the episode. It is tried in two cases: a closed hand
-    that touches a link on it is sent elsewhere, or any hand is sent against it in its direction of motion
-    (`HandTouch.pushed`). Until then nothing shows: neither on the way to a part, nor at contact, nor while the fingers
-    close. A *detent* also holds released joints while a key frame only closes the fingers: these close unevenly, and
-    would move a free joint before its next try.
+    At reset every joint is *held*: its limits are closed around its position. This models the latch, detent or
+    friction of a real joint, and makes the simulator bit-identical under every hidden state. A try releases a joint for
+    the rest of the episode. There are two kinds of tries. A closed hand that touches a link on the joint is sent
+    elsewhere, or any hand is sent against it in its direction of motion (`HandTouch.pushed`). Until then nothing shows:
+    neither on the way to a part, nor at contact, nor while the fingers close. A *detent* also holds released joints
+    while a key frame only closes the fingers. They close unevenly, and would move a free joint before its next try.
 
     ``state`` is this episode's hidden state, ``articulation`` a `sapien.physx.PhysxArticulation`. Tests disable
     ``hold`` to show its effect.

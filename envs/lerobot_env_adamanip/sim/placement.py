@@ -1,6 +1,6 @@
 """Placement of object, robot and camera: nominal poses, randomization, and the reachability check.
 
-External assets keep their real size. The robot's base is the origin, so floor and object move: for a door with its
+External assets keep their real size. The robot's base is the origin, so floor and object move. For a door with its
 lever one metre up, the floor is below the base.
 """
 

@@ -1,7 +1,7 @@
 """Depth by ray casting, with one ray per pixel.
 
 This Embree binding has neither instances nor moving meshes. Each link therefore has its own scene, and rays are
-transformed into its frame; the depth of one link bounds the rays cast at the next.
+transformed into its frame. The depth of one link bounds the rays cast at the next.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ def shapes_triangles(shapes: Iterable[Shape]) -> Triangles:
 
 
 _UNMOVED = 0.01
-"""Tolerance at which Assimp, SAPIEN's file reader, treats a node's transform as the identity: the Panda's fourth link
+"""Tolerance at which Assimp, SAPIEN's file reader, treats a node's transform as the identity. The Panda's fourth link
 is rendered 3 mm beside its position in the file."""
 
 

@@ -1,7 +1,7 @@
 """Initial annotation for manual refinement (the paper's appendix, "Pose Annotation").
 
-Joints are chosen by their type, their position in the tree and the size of their links; grasps by the bounding box of
-the part's mesh.
+Joints are chosen by their type, their position in the tree and the size of their links. Grasps follow from the bounding
+box of the part's mesh.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Coffee makers: espresso machines with a portafilter under the group head. Sizes follow home machines.
 
-The bar handle at the front is gripped from above: a downward hand can swing it 46 degrees to either side of a slightly
-rotated machine, while a horizontal hand reaches its yaw limit at 43 degrees.
+The bar handle at the front is gripped from above. A downward hand can swing it 46 degrees to either side of a slightly
+rotated machine; a horizontal hand reaches its yaw limit at 43 degrees.
 """
 
 from __future__ import annotations

@@ -174,7 +174,7 @@ def _button(design: MicrowaveDesign) -> Link:
 
 
 def _body_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
-    """Cabinet, cavity, control panel around the button's well, vents and feet."""
+    """Returns cabinet, cavity, control panel around the button's well, vents and feet."""
     w, h, d, t = design.width, design.height, design.depth, WALL / 2
     z, body = design.foot + h / 2, design.look.body
     # The door covers the cabinet; the panel is beside it.
@@ -219,7 +219,7 @@ def _turntable(design: MicrowaveDesign, x: float, u: float, bottom: float) -> tu
 
 
 def _panel_block(design: MicrowaveDesign) -> tuple[Shape, ...]:
-    """Four blocks around the button's well, with the printed controls."""
+    """Returns four blocks around the button's well, with the printed controls."""
     face, w, h = design.look.panel, design.panel, design.height
     y, low, high = design.panel_y, design.foot, design.foot + h
     bz, (by, bh) = design.foot + design.button_z, design.button_half
@@ -254,7 +254,7 @@ def _trimmings(design: MicrowaveDesign) -> tuple[Shape, ...]:
 
 
 def _door_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
-    """Door in its own frame: hinge at the origin, front at x = 0."""
+    """Returns the door in its own frame: hinge at the origin, front at x = 0."""
     half_w, half_h, half_t = design.door_width / 2, design.height / 2 - 0.0015, DOOR_THICKNESS / 2
     middle = -design.hinge_side * half_w
     look = design.look
@@ -265,7 +265,7 @@ def _door_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
 
 
 def _button_shapes(design: MicrowaveDesign) -> tuple[Shape, ...]:
-    """Button in its own frame: x out of the panel, zero at the panel's face."""
+    """Returns the button in its own frame: x out of the panel, zero at the panel's face."""
     half_y, half_z = design.button_half
     back, out = -0.024, design.button_out
     center, half = (back + out) / 2, (out - back) / 2

@@ -44,7 +44,7 @@ class AdaManipTask(BaseEnv):
 
     Task description: manipulate an articulated object with a hidden mechanism.
     Randomizations: object (``objects``); poses of object, arm and camera (``poses``); hidden state, from a separate
-        random stream, so that episodes that differ only in it look the same.
+        random stream: episodes that differ only in it look the same.
     Success conditions: a joint beyond its goal, see `Mechanism.goals`.
 
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation does not allow.
