@@ -152,7 +152,7 @@ def check_rendering() -> Check:
     drivers = ", ".join(Path(each.split()[0]).name for each in vulkan_drivers()) or "none"
     chosen = [f"{k}={os.environ[k]}" for k in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES") if os.environ.get(k)]
     advice = (
-        "clouds, collect --no-images, training and evaluation of dp3_adaptive do without; for pictures, "
+        "clouds, collect --no-images, training and evaluation of dp3_adaptive need no renderer; for pictures, "
         + VULKAN_ADVICE
         + (f". Set here: {', '.join(chosen)}" if chosen else "")
     )
@@ -170,8 +170,8 @@ def check_render_backend() -> Check:
     from lerobot_env_adamanip.sim.render_device import can_render, resolve_render_backend
 
     if not can_render():
-        found = "none: no pictures here; videos of evaluations are drawn without"
-        return Check("Render backend", False, found, "see what SAPIEN renders", required=False)
+        found = "none: no pictures here; evaluation videos are drawn without rendering"
+        return Check("Render backend", False, found, "see the check SAPIEN renders", required=False)
     return Check("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
 
 
@@ -188,7 +188,7 @@ def check_cuda() -> Check:
     """Checks for a GPU for training."""
     import torch
 
-    advice = "training on a CPU works for the small policies; the paper's takes days"
+    advice = "training on a CPU works for small policies; the paper's policy takes days"
     if not torch.cuda.is_available():
         return Check("CUDA", False, "no GPU that torch can use", advice, required=False)
     return Check("CUDA", True, f"{torch.cuda.get_device_name()} (CUDA {torch.version.cuda})", advice, required=False)
@@ -212,13 +212,13 @@ def check_hub_cache() -> Check:
         with tempfile.TemporaryFile(dir=HF_HOME):
             return Check("Hugging Face cache", True, "writable")
     except OSError as error:
-        return Check("Hugging Face cache", False, str(error), "make it writable, or set HF_HOME to a folder that is")
+        return Check("Hugging Face cache", False, str(error), "make it writable, or set HF_HOME to a writable folder")
 
 
 def check_disk() -> Check:
     """Checks free space in the working directory."""
     free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
-    advice = f"free some: datasets and checkpoints want {MIN_FREE_GB:.0f} GB"
+    advice = f"free some space: datasets and checkpoints need {MIN_FREE_GB:.0f} GB"
     return Check("Free disk", free_gb >= MIN_FREE_GB, f"{free_gb:.0f} GB", advice, required=False)
 
 

@@ -57,7 +57,7 @@ def _lines(found: DatasetStats) -> Iterator[str]:
         yield f"Recorded on a robot, without labels of tries: {unlabelled} episodes"
     yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
     if found.recovery is not None:
-        yield f"After a try that failed, the same again: {interval_text(found.recovery.repeated)}"
+        yield f"Failed tries repeated unchanged: {interval_text(found.recovery.repeated)}"
     if found.attempts is not None:
         yield f"Attempts kept: {interval_text(found.attempts.kept)}; given up: {found.attempts.given_up}"
         if found.attempts.kept.count < found.attempts.kept.episodes:

@@ -33,7 +33,7 @@ def decoder() -> str:
     try:
         import torchcodec  # noqa: F401  (loads FFmpeg's libraries, or fails)
     except Exception:
-        return "PyAV (torchcodec finds no FFmpeg: LeRobot's commands print why, in some 90 lines, and go on)"
+        return "PyAV (torchcodec finds no FFmpeg; LeRobot's commands print a long warning and continue)"
     return "torchcodec"
 
 

@@ -56,7 +56,7 @@ class Objects:
         """Lists and draws. Returns 0."""
         if self.columns < 1 or not _SIZES[0] <= self.size <= _SIZES[1]:
             raise ConfigurationError(
-                "A sheet cannot be drawn like that.",
+                "A sheet of this size cannot be drawn.",
                 got=f"--columns {self.columns} --size {self.size}",
                 allowed=f"1 column or more, {_SIZES[0]} ... {_SIZES[1]} px",
                 hint="--columns 9 --size 240",
@@ -124,7 +124,7 @@ def checked_source(assets: Path) -> AssetSource:
         with contextlib.redirect_stdout(sys.stderr):  # simulator output must not get into the JSON
             return AssetSource(assets, placement_check())
     except SimulatorError:
-        print("not checked without the simulator: whether the arm reaches the objects", file=sys.stderr)
+        print("The simulator is missing, so the arm's reach is not checked.", file=sys.stderr)
         return AssetSource(assets)
 
 
