@@ -1,4 +1,4 @@
-"""Cameras of the simulated environments: one row each, for observations and datasets alike."""
+"""Cameras of the simulated environments, one row each, used for observations and datasets."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CameraView:
-    """A camera that stands still.
+    """A fixed camera.
 
     Attributes:
-        eye, target: where it is and what it looks at, robot base frame [m]; both are drawn around these.
+        eye, target: nominal position and point of view, robot base frame [m]; each scene draws poses around them.
         field_of_view: [rad].
     """
 
@@ -21,20 +21,20 @@ class CameraView:
 
 
 FRONT = "front"
-"""Camera whose depth makes the cloud, and which `render` shows."""
+"""Camera whose depth gives the cloud, and which `render` shows."""
 CAMERAS = {
     # Third person, beside and above the arm (paper: one camera adjacent to the robot).
     FRONT: CameraView((0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),
 }
-"""Name in observations (``pixels``) -> camera. A row's draws follow those of the rows before it."""
+"""Name in observations (``pixels``) -> camera. A row's random draws follow those of earlier rows."""
 _COLUMNS = "observation.images."
 
 
 def image_column(camera: str) -> str:
-    """Returns the dataset column of a camera's pictures."""
+    """Returns the dataset column of a camera's images."""
     return f"{_COLUMNS}{camera}"
 
 
 def is_image_column(column: str) -> bool:
-    """Returns whether a dataset column holds a camera's pictures."""
+    """Returns whether a dataset column holds a camera's images."""
     return column.startswith(_COLUMNS)

@@ -121,7 +121,7 @@ def _require_equal_features(sources: Sequence[Source]) -> None:
         if differing := sorted(key for key in {**first, **features} if first.get(key) != features.get(key)):
             raise DatasetError(
                 "Datasets with different features cannot be merged.",
-                got=f"{source.root.name} has {', '.join(differing[:3])} otherwise than {sources[0].root.name}",
+                got=f"{source.root.name} has {', '.join(differing[:3])} unlike {sources[0].root.name}",
                 allowed="the same columns with the same shapes",
                 hint="`adamanip keyframes` for recordings, `adamanip render` for pictures; the same --num-points",
             )

@@ -179,7 +179,7 @@ def _attempted(
     counts = None if manifest is None else manifest.attempts
     if counts is None:
         attempts = [_as_attempt(record) for record in records]
-        account = "what was attempted for them is told by the collections that they are from"
+        account = "the source collections list the attempts"
         rows = ["| hidden | episodes | of them succeeded |", "|---|---|---|"]
     else:
         succeeded = sum(attempt.success for attempt in attempts)

@@ -60,9 +60,9 @@ class _Recorded:
         opening, moved, tried = results[:, 0], results[:, 1], results[:, 2] > 0
         if not (tried & (moved == 0)).any() or not (tried & (moved == 1)).any():
             raise ConfigurationError(
-                "There is nothing to adapt to in these demonstrations.",
-                got=f"{int(tried.sum())} tries, of which {int((moved[tried] == 0).sum())} failed",
-                allowed="demonstrations in which some tries fail, and some do not",
+                "These demonstrations do not show failed and successful tries.",
+                got=f"{int(tried.sum())} tries, {int((moved[tried] == 0).sum())} of them failed",
+                allowed="demonstrations with failed and with successful tries",
                 hint="adamanip collect --expert adaptive",
             )
         before, command, after = (np.stack(each) for each in zip(*self.poses, strict=True))

@@ -45,10 +45,10 @@ class AffordanceConfig(CloudPolicyConfig):
         others = [mode for mode in self.normalization_mapping.values() if mode is not NormalizationMode.IDENTITY]
         if others or self.n_obs_steps != 1 or not self.encoder_dims or self.context_points > self.num_points:
             raise ConfigurationError(
-                f"{self.type} cannot be set up like this.",
+                f"Options of {self.type} do not fit together.",
                 got=f"normalization_mapping={self.normalization_mapping}, n_obs_steps={self.n_obs_steps}, "
                 f"encoder_dims={self.encoder_dims}, context_points={self.context_points}",
-                allowed="IDENTITY for each kind of feature, n_obs_steps=1, some encoder_dims, "
+                allowed="IDENTITY for each kind of feature, n_obs_steps=1, non-empty encoder_dims, "
                 f"context_points <= num_points={self.num_points}",
                 hint="none of these options",
             )
@@ -57,7 +57,7 @@ class AffordanceConfig(CloudPolicyConfig):
         """Raises `ConfigurationError` unless each of these options is above zero."""
         if any(getattr(self, name) <= 0 for name in names):
             raise ConfigurationError(
-                f"A size of {self.type} has to be positive.",
+                f"An option of {self.type} must be positive.",
                 got=", ".join(f"{name}={getattr(self, name)}" for name in names),
                 allowed="above 0",
                 hint="none of these options",

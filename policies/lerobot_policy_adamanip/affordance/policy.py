@@ -58,7 +58,7 @@ class AffordancePolicy(CloudPolicy):
         if self._labels is None:
             raise ConfigurationError(
                 f"{self.name} has nothing to learn from.",
-                got="a policy made without a dataset",
+                got="a policy created without a dataset",
                 allowed="make_policy(..., ds_meta=) of a dataset",
                 hint=f"lerobot-train --policy.type={self.name} --dataset.root=...",
             )

@@ -116,9 +116,9 @@ class CloudPolicyConfig(PreTrainedConfig):
             self.require_action()
             assert self.action_feature is not None
             raise ConfigurationError(
-                f"{self.type} moves a tool, and these actions are no poses of one.",
+                f"{self.type} needs actions that are tool poses.",
                 got=f"action {tuple(self.action_feature.shape)}, named as poses: {self.pose_layout}",
-                allowed="the ten pose numbers of the contract, in action and in state",
+                allowed="the contract's ten pose values, in action and in state",
                 hint="adamanip collect, or --policy.type=dp3_adaptive --policy.preset=diffusion",
             )
 

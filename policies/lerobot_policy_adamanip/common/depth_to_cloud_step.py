@@ -128,7 +128,7 @@ class DepthToCloudStep(SameFeaturesStep):
 
     def _unknown(self, got: str) -> ConfigurationError:
         return ConfigurationError(
-            f"The calibration of camera {self.camera} is missing, so its depth gives no cloud.",
+            f"The calibration of camera {self.camera} is missing; its depth cannot become a cloud.",
             got=got,
             allowed=f"a calibration file of the robot with camera {self.camera}, or one named in the checkpoint's "
             "policy_preprocessor.json, step adamanip_depth_to_cloud, field calibration",

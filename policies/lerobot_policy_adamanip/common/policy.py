@@ -173,9 +173,9 @@ class ChunkGuard:
         latest = self._predicted or observation
         if any(not torch.equal(latest[key], observation[key]) for key in (POINT_CLOUD, STATE)):
             raise ConfigurationError(
-                f"{self._policy_type} has a history, and does not know which actions were executed.",
+                f"{self._policy_type} has a history and needs to know which actions were executed.",
                 got="predict_action_chunk for another observation, without select_action since the first",
-                allowed="select_action for each observation; reset() where another episode begins",
+                allowed="select_action for each observation; reset() at the start of an episode",
                 hint="lerobot-rollout --inference.type=sync, instead of rtc or the asynchronous policy server",
             )
         self._predicted = latest

@@ -38,13 +38,13 @@ def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[An
             "The demonstrations' columns cannot be read.",
             got=f"no folder {folder.name} beside the metadata",
             allowed="a dataset whose files have been downloaded",
-            hint="--dataset.streaming=false; in Python, LeRobotDataset(repo_id) before the policy is made",
+            hint="--dataset.streaming=false; in Python, LeRobotDataset(repo_id) before the policy is created",
         )
     source, keys = files.dataset(folder, format="parquet"), list(keys)
     missing = [key for key in keys if key not in source.schema.names]
     if missing:
         raise ConfigurationError(
-            "The demonstrations lack columns that labels are made from.",
+            "The demonstrations lack columns that labels are computed from.",
             got=f"no {', '.join(missing)}",
             allowed="the columns of this project's contract, see docs/dataset_columns.md",
             hint="adamanip collect",
@@ -83,9 +83,9 @@ class RecordedRows:
         rows = position[index.clamp(max=len(position) - 1)]
         if rows.device.type == "cpu" and (rows < 0).any():
             raise ConfigurationError(
-                "A batch holds rows that the policy does not know.",
+                "A batch contains rows of another dataset.",
                 got=f"index {int(index[rows < 0][0])} of a dataset of {int((position >= 0).sum())} rows",
-                allowed="batches of the dataset that the policy was made with",
+                allowed="batches of the dataset that the policy was created with",
                 hint="make_policy(config, ds_meta=dataset.meta)",
             )
         return rows

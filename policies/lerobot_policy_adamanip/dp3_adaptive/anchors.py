@@ -127,8 +127,8 @@ class AnchorHead:
         """
         if self._fitted is not model and not model.spread.any():
             raise ConfigurationError(
-                "The anchors are not known.",
-                got="a policy made without a dataset",
+                "The policy has no anchors.",
+                got="a policy created without a dataset",
                 allowed="make_policy(..., ds_meta=) of a dataset, or a checkpoint",
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )

@@ -186,7 +186,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 "A checkpoint's preset cannot be changed: its network has the sizes it was trained with.",
                 got=f"preset={self.preset}, for values of {self.values_from}",
                 allowed=f"preset={self.values_from}",
-                hint=f"a training from the start with --policy.type=dp3_adaptive --policy.preset={self.preset}",
+                hint=f"a new training with --policy.type=dp3_adaptive --policy.preset={self.preset}",
             )
         for name, value in values.items():
             if getattr(self, name) is None:
@@ -228,9 +228,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             )
         if self.head == "anchors" and (self.n_obs_steps, self.horizon) != (1, 1):
             raise self._error(
-                "The head anchors looks at one cloud and draws one action.",
+                "The head anchors uses one cloud and draws one action.",
                 ("n_obs_steps", "horizon"),
-                "n_obs_steps=1, horizon=1; n_action_history_steps says how far back it remembers",
+                "n_obs_steps=1, horizon=1; n_action_history_steps sets the length of the history",
                 "--policy.preset=diffusion",
             )
 
@@ -241,7 +241,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
         if (anchors or self.tcp_relative) and any(mode is not wanted for mode in modes):
             raise ConfigurationError(
-                f"{'The head anchors' if anchors else 'tcp_relative'} does not go with this normalisation.",
+                f"{'The head anchors' if anchors else 'tcp_relative'} does not work with this normalisation.",
                 got=", ".join(map(str, modes)),
                 allowed=f"{wanted.name} for STATE and for ACTION",
                 hint="--policy.preset=diffusion --policy.tcp_relative=false",

@@ -67,7 +67,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         config.require_action()
         if config.tcp_relative and not config.has_pose_layout:
             logging.getLogger(__name__).warning(
-                "State and action are not the ten pose numbers of the contract: tcp_relative, augmentation and "
+                "State and action are not the contract's ten pose values: tcp_relative, augmentation and "
                 "orthonormalisation do not apply."
             )
         self.frames = PoseFrames(config, dataset_stats)
@@ -148,7 +148,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         if self._windows is None:
             raise ConfigurationError(
                 "The policy has nothing to learn from.",
-                got="a policy made without a dataset",
+                got="a policy created without a dataset",
                 allowed="make_policy(config, ds_meta=dataset.meta)",
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )

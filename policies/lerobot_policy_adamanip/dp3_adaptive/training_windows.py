@@ -86,10 +86,10 @@ class TrainingWindows:
         given = given.reshape(len(given), -1)
         if given.shape != actions.shape or not torch.allclose(given.to(actions), actions, atol=1e-3):
             raise ConfigurationError(
-                "A batch does not belong to the dataset that the policy was made with.",
-                got=f"actions {tuple(given.shape)} unlike those of the rows of its index, {tuple(actions.shape)}",
+                "A batch does not belong to the dataset that the policy was created with.",
+                got=f"actions {tuple(given.shape)} that differ from the rows of its index, {tuple(actions.shape)}",
                 allowed="batches of that dataset, preprocessed with its statistics",
-                hint="a training from the start, or --resume=true with the dataset it began with",
+                hint="a new training, or --resume=true with the original dataset",
             )
         self._is_checked = True
 

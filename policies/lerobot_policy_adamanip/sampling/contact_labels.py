@@ -51,7 +51,7 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
             grasps.append(contact.grasp)
     if not grasps:
         raise ConfigurationError(
-            "The demonstrations show no contact.",
+            "The demonstrations contain no contact.",
             got=f"{len(demonstrations)} rows without a contact",
             allowed="episodes in which an open hand closes at a part",
             hint="adamanip collect",

@@ -58,7 +58,7 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
         raise ConfigurationError(
             "No demonstration opens its object within one contact.",
             got=f"{len(plans)} first contacts of at most {waypoints} key frames",
-            allowed="some that open it, as --expert static has for what is not locked",
+            allowed="demonstrations that open it, as those of --expert static for unlocked objects",
             hint="--policy.waypoints=16, or demonstrations of a static expert",
         )
     grasps = np.stack([contact.grasp for contact in contacts])
