@@ -1,8 +1,8 @@
 """Compares ray-cast clouds with rendered clouds pixel by pixel, before, during and after an expert's episode.
 
 For each category and seed, the depth camera and the rays observe the same scene: at reset, and after every
-``--every``-th key frame of the adaptive expert. The script counts the pixels that either one sees in the workspace, and
-those that differ by more than 1 and 2 mm along any camera axis.
+``--every``-th key frame of the adaptive expert. The script counts the pixels that either one sees in the workspace. It
+also counts those that differ by more than 1 and 2 mm along any camera axis.
 
 A ray is exact; a renderer rounds triangle corners to 1/256 pixel. At an edge, a pixel may then show the other side. On
 a surface at a grazing angle, its depth may differ by millimetres. So pixels that differ by more than 2 mm, but agree

@@ -1,8 +1,8 @@
 """Sends invalid actions to every environment. Reports crashes, unstable simulations and accepted malformed actions.
 
-For every seed, it sends random key frames in the workspace with the hand open and closed, then wild ones (huge, zero,
-out of reach, degenerate rotations), then malformed ones (not a number, wrong shape). Malformed ones must be refused
-with a helpful error. For example: ``python scripts/check_robustness.py --category all --seeds 100 --workers 2 --json``.
+For every seed, it first sends random key frames in the workspace, with the hand open and closed. Then follow wild ones
+(huge, zero, out of reach, degenerate rotations) and malformed ones (not a number, wrong shape). Malformed ones must be
+refused with a helpful error. Example: ``python scripts/check_robustness.py --category all --seeds 100 --workers 2``.
 """
 
 from __future__ import annotations

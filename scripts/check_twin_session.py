@@ -3,7 +3,7 @@
     python scripts/check_twin_session.py --out outputs/twin --episodes 10
     python scripts/check_twin_session.py --out outputs/twin --policy CHECKPOINT/pretrained_model --seeds 20
 
-Records microwaves in lockstep through the scripted teleoperator, teleoperates in real time, replays an episode, makes
+Records microwaves in lockstep with the scripted teleoperator. Teleoperates in real time, replays an episode, makes
 key frames, plays them again in their scenes, and trains on them and simulated demonstrations. With ``--policy``,
 `lerobot-rollout` and `lerobot-eval` run the same seeds.
 

@@ -98,7 +98,7 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     """Returns the key frames of an episode.
 
     Row k is observed at key frame k. Its action is the accepted target that was active when key frame k + 1 was
-    reached or abandoned, with the gripper rounded to 0 or 1.
+    reached or abandoned. The gripper is rounded to 0 or 1.
 
     Args:
         episode: episode of two or more ticks.
