@@ -49,7 +49,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
 }  # fmt: skip
 WRONG_FEATURES: list[tuple[dict[str, Any], str]] = [
     ({"points": (64, 3)}, "120 points"), ({"points": (160, 2)}, "120 points"), ({"points": (190,)}, "120 points"),
-    ({"action": 7}, "no poses"), ({"missing": schema.POINT_CLOUD}, schema.POINT_CLOUD),
+    ({"action": 7}, "tool poses"), ({"missing": schema.POINT_CLOUD}, schema.POINT_CLOUD),
     ({"missing": schema.STATE}, schema.STATE),
 ]  # fmt: skip
 
