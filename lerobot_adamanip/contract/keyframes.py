@@ -111,7 +111,7 @@ KeyFrames = Generator[Goal, Feedback, None]
 
 @dataclass(frozen=True)
 class MotionLimits:
-    """Limits of the arm's motion, and conditions that end it. A real Franka stays well within them.
+    """Limits of the arm's motion, and conditions that end it. A real Franka can execute them.
 
     Attributes:
         linear_speed: [m/s] peak.

@@ -28,7 +28,7 @@ JITTER_POSITION, JITTER_ROTATION = 0.012, 0.06
 """Standard deviation of a pre-grasp about its nominal pose [m, rad], clipped at two. The grasp is exact. The approach
 varies, so that a policy learns to correct the last 10 cm from its observation."""
 APPROACHES = ((1.0, 1.0), (0.7, 0.5), (0.4, 0.0))
-"""Shares of `PRE_GRASP` and of the jitter, one pair an approach, each nearer to the part than the one before. Far away,
+"""Shares of `PRE_GRASP` and of the jitter, one pair per approach, each nearer to the part than the last. Far away,
 at the end of the arm's reach, a path may not exist although both of its ends are reachable."""
 HELD_WITHIN_M, HELD_WITHIN_RAD = 0.025, 0.3
 """A closed hand within this distance and angle of a grasp holds the part."""
@@ -189,7 +189,7 @@ class Hand:
         yield from self.move_to(before(self.feedback.tcp_in_base), gripper, Phase.RELEASE)
 
     def move(self, part: PartAnnotation, joint: str, position: float, phase: Phase) -> Frames:
-        """Moves ``joint`` of a held part to ``position`` [rad or m], the others stay; measures how far it came."""
+        """Moves ``joint`` of a held part to ``position`` [rad or m] and measures how far it came; other joints stay."""
         self._sent = (joint, position)
         yield from self.move_to(part.moved({**self.positions, joint: position}), 0.0, phase)
         if not self.empty:

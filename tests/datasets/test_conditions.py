@@ -30,8 +30,8 @@ CHOSEN = {
     "note!=x": [2], "note=y z": [2], "code=7": [0],
 }  # fmt: skip
 REFUSED = {
-    "": "no condition", "failed_tries": "no condition", "failed_tries>=": "no condition",
-    "__import__('os').system('x')=1": "no condition",
+    "": "wrong form", "failed_tries": "wrong form", "failed_tries>=": "wrong form",
+    "__import__('os').system('x')=1": "wrong form",
     "failed_trys>1": "failed_tries, hidden.range, note, object_id, success", "failed_tries>x": "0 to 9",
     "failed_tries=__class__": "0 to 9", "success=maybe": "true or false", "success>false": "= or !=",
     "object_id>safe": "= or !=", "failed_tries>1,2": "0 to 9", "object_id=safe_007": "safe_000, safe_001",

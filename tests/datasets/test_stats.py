@@ -108,5 +108,5 @@ def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: P
         read_stats(tmp_path / "nothing")
     half = Path(shutil.copytree(demos, tmp_path / "half"))
     (half / "meta" / "attempts.jsonl").write_text('{"odd": 1}\n')
-    with pytest.raises(DatasetError, match="cannot be"):
+    with pytest.raises(DatasetError, match="invalid values"):
         read_stats(half)
