@@ -14,8 +14,11 @@ import pytest
 from toy_demos import REPO_ID, record_toy, toy_world
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGE, POLICY_PAGE = ROOT / "docs" / "extending.md", ROOT / "docs" / "extending_policy.md"
-MOST_PLACES = 7
+PAGE, MECHANISM_PAGE, POLICY_PAGE = (
+    ROOT / "docs" / name for name in ("extending.md", "extending_mechanism.md", "extending_policy.md")
+)
+MOST_PLACES = 8
+TESTS = ("tests/helpers", "tests/objects", "tests/mechanisms", "tests/experts")
 
 
 class Change(NamedTuple):
@@ -27,15 +30,11 @@ class Change(NamedTuple):
     code: str
 
 
-def changes() -> list[Change]:
+def changes(*pages: Path) -> list[Change]:
     pattern = r"^<!-- (new|edit): ([\w./]+)(?:, (?:after: (.+?)|at the end))? -->\n```python\n(.*?)^```$"
-    text = PAGE.read_text(encoding="utf-8") + POLICY_PAGE.read_text(encoding="utf-8")
+    text = "".join(page.read_text(encoding="utf-8") for page in pages)
     found = re.findall(pattern, text, re.MULTILINE | re.DOTALL)
     return [Change(*each) for each in found]
-
-
-def of_the_category(change: Change) -> bool:
-    return not change.path.startswith("policies/")
 
 
 def apply(change: Change, tree: Path) -> None:
@@ -59,25 +58,31 @@ def apply(change: Change, tree: Path) -> None:
 @pytest.fixture(scope="module")
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     copy = tmp_path_factory.mktemp("extended")
-    for name in ("lerobot_adamanip", "envs", "policies", "scripts", "hub_cards", "docs"):
+    for name in ("lerobot_adamanip", "envs", "policies", "scripts", "hub_cards", "docs", *TESTS):
         shutil.copytree(ROOT / name, copy / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for change in changes():
+    for name in ("pyproject.toml", "tests/conftest.py", "tests/test_categories.py"):
+        shutil.copy(ROOT / name, copy / name)
+    for change in changes(PAGE, MECHANISM_PAGE, POLICY_PAGE):
         apply(change, copy)
     return copy
 
 
 def run(tree: Path, code: str, *arguments: str) -> str:
-    paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies"))
+    return run_python(tree, "-c", code, *arguments)
+
+
+def run_python(tree: Path, *arguments: str) -> str:
+    paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies", "tests/experts"))
     environment = {**os.environ, "PYTHONPATH": paths}
     done = subprocess.run(
-        [sys.executable, "-c", code, *arguments], cwd=tree, env=environment, capture_output=True, text=True, check=False
+        [sys.executable, *arguments], cwd=tree, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, f"{done.stdout}\n{done.stderr}"
     return done.stdout
 
 
 def test_a_tenth_category_touches_few_places() -> None:
-    places = [change.path for change in changes() if of_the_category(change)]
+    places = [change.path for change in changes(PAGE)]
     assert len(places) == len(set(places))
     assert 0 < len(places) <= MOST_PLACES
     listed = re.findall(r"^\| \d \| `([^`]+)`", PAGE.read_text(encoding="utf-8"), re.MULTILINE)
@@ -121,6 +126,54 @@ assert "jar" in suite().chosen()
 
 def test_the_tenth_category_works_without_a_simulator(tree: Path) -> None:
     run(tree, WITHOUT_A_SIMULATOR.format(tree=str(tree)))
+
+
+def test_tests_of_every_category_pass_for_the_tenth(tree: Path) -> None:
+    files = ("objects/test_every_object.py", "mechanisms/test_every_mechanism.py", "test_categories.py")
+    chosen = ("-k", "jar or table_of_rules or counts_add_up", "-m", "not nightly", "-p", "no:cacheprovider", "-q")
+    done = run_python(tree, "-m", "pytest", *(f"tests/{name}" for name in files), *chosen)
+    assert int(re.findall(r"(\d+) passed", done)[0]) > 12
+
+
+EDITED_MODULES = """
+import importlib, sys
+from lerobot_adamanip.catalog import get_object
+
+for name in sys.argv[1:]:
+    importlib.import_module(name)
+from lerobot_env_adamanip.sim.tasks.categories import TASKS
+
+stand = TASKS["jar"].definition.stand(get_object("jar_000"))
+(reach,) = stand.reaches
+assert reach.part == "cap" and len(reach.paths) == 2
+"""
+
+
+@pytest.mark.sim
+def test_every_edited_module_can_be_imported(tree: Path) -> None:
+    paths = [change.path for change in changes(PAGE, MECHANISM_PAGE, POLICY_PAGE)]
+    modules = [re.sub(r"^(envs|policies)/|\.py$|/__init__\.py$", "", path).replace("/", ".") for path in paths]
+    run(tree, EDITED_MODULES, *(name for name in modules if not name.startswith("tests.")))
+
+
+OWN_MECHANISM = """
+from kinematic import KinematicWorld, adaptive, run, static
+from lerobot_adamanip.experts import EXPERTS, Expert, presses
+from lerobot_adamanip.mechanisms import RULES, CategoryRules, table
+
+RULES["microwave"] = CategoryRules(table._presses, "not in the paper", "")
+EXPERTS["microwave"] = Expert(presses.adaptive, presses.static, presses.SEQUENCE)
+for number in (1, 2, 3):
+    for make in (adaptive, static):
+        world = KinematicWorld("microwave_000", {"presses": number})
+        episode = run(world, make(world))
+        assert episode.opened > 0.6
+        assert episode.failed_pulls() == (number if make is adaptive else 0)
+"""
+
+
+def test_the_mechanism_and_the_expert_of_the_page_open_it(tree: Path) -> None:
+    run(tree, OWN_MECHANISM)
 
 
 MAKE_THE_PAGE = """

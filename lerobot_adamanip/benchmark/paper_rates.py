@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from lerobot_adamanip.contract.categories import CATEGORIES
-
+PAPER_CATEGORIES = (
+    "bottle", "pen", "pressure_cooker", "coffee_maker", "safe", "microwave", "window", "door", "lamp",
+)  # fmt: skip
+"""In the order of the paper's tables."""
 SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
     "VAT-Mart": (
         (41.43, 17.44), (45.00, 12.04), (38.33, 18.33), (71.43, 14.29), (1.25, 0.88), (6.00, 5.10), (13.75, 6.73),
@@ -36,7 +38,7 @@ SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
         (88.75, 10.38), (82.53, 14.72),
     ),
 }  # fmt: skip
-"""Method -> (success, deviation) [%] per category, in the order of `CATEGORIES`. From the table "Success Rates of
+"""Method -> (success, deviation) [%] per category, in the order of `PAPER_CATEGORIES`. From the table "Success Rates of
 Different Methods". The paper does not say what the deviations measure, nor in which scenes."""
 PAPER_OBJECTS = "seen"
 """Split of objects to compare the paper's rates with: the released code tests on its training objects."""
@@ -48,7 +50,9 @@ Trials in Adaptive Demonstration for Bottle". Its value at 1 differs from the bo
 
 def reported(method: str | None, category: str) -> tuple[float, float] | None:
     """Returns success and deviation [%] of a method, by its name in the paper; None if the paper does not have it."""
-    return SUCCESS[method][tuple(CATEGORIES).index(category)] if method in SUCCESS else None
+    if method not in SUCCESS or category not in PAPER_CATEGORIES:
+        return None
+    return SUCCESS[method][PAPER_CATEGORIES.index(category)]
 
 
 def reported_mean(method: str | None, categories: Collection[str]) -> float | None:

@@ -10,7 +10,7 @@ import pytest
 from benchmark_helpers import SCALE, content, declared
 
 from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
-from lerobot_adamanip.benchmark.paper_rates import SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
+from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES, SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -40,12 +40,13 @@ def test_the_papers_methods_learn_from_what_the_paper_trained_them_on() -> None:
 
 
 def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
-    assert {len(values) for values in SUCCESS.values()} == {len(CATEGORIES)}
-    means = {name: reported_mean(name, CATEGORIES) or 0.0 for name in SUCCESS}
+    assert {len(values) for values in SUCCESS.values()} == {len(PAPER_CATEGORIES)}
+    means = {name: reported_mean(name, PAPER_CATEGORIES) or 0.0 for name in SUCCESS}
     order = ["Ours", "Ours w/o adaptive", "DP3", "ACT", "AdaAfford", "VAT-Mart", "Sampling"]
     assert sorted(means, key=lambda name: -means[name]) == order
     assert reported("Ours", "microwave") == (100.0, 0.0)
     assert reported(None, "safe") is None
+    assert reported("Ours", "jar") is None
     assert reported_mean("", ["safe"]) is None
 
 
