@@ -35,7 +35,7 @@ class AdaAffordConfig(AffordanceConfig):
     contact_proposals: int = 8
     # Number of first interactions that are chosen for information as well as success.
     explorations: int = 4
-    # Least predicted information [nats] for which an interaction is chosen; below it only success counts.
+    # Least predicted information [nats] that counts; below it an interaction is chosen for its success only.
     least_information: float = 0.01
     # Least gain in success for which a held part is released: a new grasp costs five key frames.
     contact_margin: float = 0.1

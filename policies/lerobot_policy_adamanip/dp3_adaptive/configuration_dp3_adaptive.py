@@ -109,7 +109,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Head anchors, training only: standard deviation of noise on points [m].
     point_noise_std: float = 0.002
 
-    # Channels of the U-Net's levels; each level halves the chunk (fast 128 256, diffusion 128 256, dp3 512
+    # Channels of the U-Net's levels; the chunk is halved between levels (fast 128 256, diffusion 128 256, dp3 512
     # 1024 2048, paper 256 512 1024).
     down_dims: tuple[int, ...] = from_preset()
     # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, dp3 5, paper 5).
