@@ -30,7 +30,7 @@ _PAPER_LEGEND = (
     "the deviation measures."
 )
 _MARKS = {
-    OTHER_CODE: "of other code than the present, which may give other numbers",
+    OTHER_CODE: "measured with earlier code; the present code may give other numbers",
     OTHER_OPTIONS: "of other options than declared now",
 }
 
