@@ -194,7 +194,7 @@ def test_other_code_and_other_options_are_marked(cells: Path) -> None:
     assert marks(result) == ("]", "%")
     assert marks(dataclasses.replace(result, fingerprint="e" * 16)) == ("†", "†")
     page = benchmark_page(report_of(cells))
-    assert "of other code than the present" in page
+    assert "measured with earlier code" in page
     assert "Mind: several fingerprints" in page
     assert marks(result, stale={result.cell}) == ("†", "†")
     assert marks(dataclasses.replace(result, options="e" * 16)) == ("‡", "‡")
