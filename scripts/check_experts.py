@@ -1,8 +1,8 @@
 """Runs the scripted experts without rendering and reports their success rates.
 
-A cell is a preset, a category, an object split and an expert. Each cell has ``--episodes`` episodes, and both experts
-get the same ones. All attempts count: a scene without a placed object is also a failure. Success is the task's
-success; the expert continues to its own end. For example:
+A cell is a set of mechanism rules (``preset`` in the output), a category, an object split and an expert. Each cell has
+``--episodes`` episodes, and both experts get the same ones. All attempts count: a scene without a placed object is also
+a failure. Success is the task's success; the expert continues to its own end. For example:
 
     python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --workers 2
 """
@@ -123,7 +123,7 @@ def plan(options: argparse.Namespace) -> list[Episode]:
     """Returns all requested episodes. Raises `ConfigurationError` if ``--objects`` belong to other categories."""
     names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
     found = []
-    for preset, (split, category, object_ids) in itertools.product(options.preset, _selected(names, options)):
+    for preset, (split, category, object_ids) in itertools.product(options.mechanism_rules, _selected(names, options)):
         for number in range(options.episodes):
             # Spread over the objects. Small categories repeat objects with other seeds.
             chosen = object_ids[number * len(object_ids) // options.episodes % len(object_ids)]
@@ -236,7 +236,8 @@ def command_line() -> argparse.ArgumentParser:
     made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="splits separated by commas")
     made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
     made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="experts separated by commas")
-    made.add_argument("--preset", type=list_of(tuple(MECHANISM_RULES)), default=("paper",), help="mechanism rules")
+    rules = tuple(MECHANISM_RULES)
+    made.add_argument("--mechanism-rules", type=list_of(rules), default=("paper",), help="rules separated by commas")
     made.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
     made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
     made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")

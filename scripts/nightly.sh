@@ -37,7 +37,7 @@ part "long tests" "${tests[@]}" -m "nightly and not franky"
 part "simulated FR3" simulated_arm
 part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
 # Fails below 97 % in a category or 99 % on average, for either expert and any preset.
-part "experts" "$python" scripts/check_experts.py --category all --preset paper,hard --splits seen,unseen,novel \
+part "experts" "$python" scripts/check_experts.py --category all --mechanism-rules paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers"
 part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --workers "$workers"
 part "robustness" "$python" scripts/check_robustness.py --category all --seeds 10 --workers "$workers"

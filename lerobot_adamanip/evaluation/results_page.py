@@ -21,6 +21,8 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 The *fingerprint* is a hash of the code that decides how an episode comes out (contract, mechanisms, objects, simulator;
 experts, where they acted). Only tables of the present fingerprint stand in the README. Brackets hold Wilson's 95 %
 intervals. Tables of tries count all splits of objects together.
+
+Commands are those of the recorded commit; some name scripts or options that have been removed or renamed since.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")

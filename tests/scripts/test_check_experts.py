@@ -38,7 +38,7 @@ def report(capsys: pytest.CaptureFixture[str], fake: Fake, *arguments: str) -> t
 
 def test_every_cell_has_as_many_episodes_and_both_experts_meet_the_same(capsys: pytest.CaptureFixture[str]) -> None:
     fake = Fake()
-    arguments = ("--category", "all", "--preset", "paper,hard", "--splits", "seen,unseen", "--episodes", "9")
+    arguments = ("--category", "all", "--mechanism-rules", "paper,hard", "--splits", "seen,unseen", "--episodes", "9")
     code, said = report(capsys, fake, *arguments)
     assert code == 0
     cells = [row for row in said["results"] if row["split"] != "all"]
@@ -70,7 +70,7 @@ def test_objects_that_are_not_there_are_refused_and_nothing_runs(
     assert "got:" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("arguments", [("--splits", "all"), ("--episodes", "0"), ("--preset", "author")])
+@pytest.mark.parametrize("arguments", [("--splits", "all"), ("--episodes", "0"), ("--mechanism-rules", "author")])
 def test_a_wrong_option_is_refused(arguments: tuple[str, ...]) -> None:
     with pytest.raises(SystemExit) as caught:
         main(arguments, Fake())
