@@ -99,7 +99,7 @@ def test_the_reference_is_read_not_imported(built: tuple[Path, set[str]]) -> Non
         page = article(site, f"reference/{title.lower().replace(' ', '_')}.md")
         assert all(f'id="{module}"' in page for module in modules), title
     # A field's documentation is the comment above it.
-    said = "Points in observation.point_cloud; a policy that uses fewer takes the first"
+    said = "Points in observation.point_cloud, in farthest-point order"
     assert said in plain(article(site, "reference/environments.md"))
 
 
