@@ -125,8 +125,8 @@ def test_a_changed_fingerprint_takes_a_number_out_of_the_readme_and_marks_it_on_
     assert NOTHING in stale
     page = results_page(results, {BEFORE})
     assert "19/20: 95 %" in page
-    assert f"**Of another fingerprint**, `{NOW}`" in page
-    assert "Of another fingerprint" not in results_page(results, {NOW})
+    assert f"**Measured with earlier code**, fingerprint `{NOW}`" in page
+    assert "earlier code" not in results_page(results, {NOW})
 
 
 def test_a_table_says_what_it_was_measured_with() -> None:

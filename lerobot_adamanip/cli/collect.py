@@ -176,7 +176,7 @@ class Collect:
         print(f"Published: {result.url if result else self.repo_id}", file=sys.stderr)
 
     def _require_whole(self) -> None:
-        """Raises `ConfigurationError` if a part shall be uploaded, or shall import others: it makes no dataset."""
+        """Raises `ConfigurationError` for ``--part`` with an upload or an import: a part makes no dataset."""
         if self.part is not None and (self.push_to_hub or self.adopt):
             raise ConfigurationError(
                 "A part of a collection makes no dataset.",

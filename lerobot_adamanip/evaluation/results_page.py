@@ -18,11 +18,9 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 [results.csv](results.csv) has all metrics of all rows, by split of objects and by hidden value;
 [metrics](metrics.md) defines them.
 
-The *fingerprint* is a hash of the code that decides how an episode comes out (contract, mechanisms, objects, simulator;
-experts, where they acted). Only tables of the present fingerprint stand in the README. Brackets hold Wilson's 95 %
-intervals. Tables of tries count all splits of objects together.
-
-Commands are those of the recorded commit; some name scripts or options that have been removed or renamed since.
+The *fingerprint* is a hash of the simulation code, and of the experts where they acted. The README shows numbers of the
+present fingerprint only. Brackets hold Wilson's 95 % intervals. Tables of tries count seen, unseen and novel objects
+together. Commands are those of the commit below each table; later versions may spell them otherwise.
 """
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
@@ -43,8 +41,8 @@ def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> 
         parts.append(f"## {_heading(result)}\n")
         if result.fingerprint not in present:
             parts.append(
-                f"**Of another fingerprint**, `{result.fingerprint}` (version {result.version}): "
-                "not what the present code would give.\n"
+                f"**Measured with earlier code**, fingerprint `{result.fingerprint}` (version {result.version}); "
+                "the present code may give other numbers.\n"
             )
         parts += [f"{table}\n" for table in (success_table(result), _tries(result)) if table]
         parts.append(f"{source_line(name, result)}\n")

@@ -102,7 +102,7 @@ def test_features_are_the_contracts(make: Callable[..., FakeFranka]) -> None:
 
 
 def test_box_and_arm_have_to_be_given(make: Callable[..., FakeFranka], tmp_path: Path) -> None:
-    for options, message in (({"box_lower": None}, "safety box"), ({"box_upper": (0.3, 0.5, 0.8)}, "too small")):
+    for options, message in (({"box_lower": None}, "box that the hand"), ({"box_upper": (0.3, 0.5, 0.8)}, "too small")):
         with pytest.raises(ConfigurationError, match=message):
             make(**options).connect()
     with pytest.raises(ConfigurationError, match="which arm"):
