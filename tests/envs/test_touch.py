@@ -33,18 +33,20 @@ class Joint:
 
 
 class Scene:
-    """A finger at a part whose joint may go from 0 to 1."""
+    """A finger at a part whose joint stands at 0 and may go from ``lower`` to 1."""
 
     timestep = STEP
 
-    def __init__(self, kind: str = "prismatic", place: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
+    def __init__(
+        self, kind: str = "prismatic", place: tuple[float, float, float] = (0.0, 0.0, 0.0), lower: float = 0.0
+    ) -> None:
         self.finger, self.part, self.place = Body("panda_leftfinger"), Body("part", Joint(kind)), place
         self.contacts: list[Any] = []
         arm: Any = SimpleNamespace(links=[self.finger])
         target: Any = SimpleNamespace(
             links=[self.part], active_joints=[self.part.joint], get_qpos=lambda: np.array([0.0])
         )
-        joint = SimpleNamespace(name="part", limits=(0.0, 1.0))
+        joint = SimpleNamespace(name="part", limits=(lower, 1.0))
         self.touch = HandTouch(self, arm, target, SimpleNamespace(links=[SimpleNamespace(joint=joint)]))  # type: ignore[arg-type]
 
     def get_contacts(self) -> list[Any]:
@@ -87,6 +89,12 @@ def test_what_is_no_push(force: tuple[float, ...], goal: tuple[float, ...]) -> N
     scene = Scene()
     scene.press(*force)
     assert scene.goes((0.0, 0.0, 0.0), goal) == set()
+
+
+def test_a_part_is_pushed_down_as_far_as_its_range_goes() -> None:
+    scene = Scene(lower=-0.5)
+    scene.press(-5.0, 0.0, 0.0)
+    assert scene.goes((0.0, 0.0, 0.0), (-0.010, 0.0, 0.0)) == {"part"}
 
 
 def test_a_hand_that_slides_along_is_not_held_back() -> None:

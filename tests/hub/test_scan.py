@@ -84,7 +84,7 @@ def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refus
         "12:34:56, 1:2:3:4, std::vector, rows[1::2], a::b, 00:1b:44:11:3a:b7",
         "@inproceedings{wang2025adamanip}, git@github.com:a/b.git, you@example.com, p@q",
         "threading.local(), torch.internal, https://www.videolan.org/x264.html",
-        '{"hostname": null}',
+        '{"hostname": null}, hostname: 12',
         "999.1.1.1, 1.2.3, 1.2.3.4.5",
     ],
 )
