@@ -37,6 +37,11 @@ def test_the_first_target_is_the_measured_pose(anchored: SafetyFilter) -> None:
         SafetyFilter(LIMITS).stream(ahead(), START, DT)
 
 
+@pytest.mark.parametrize(("measured", "opening"), [(-0.01, 0.0), (0.4, 0.4), (1.03, 1.0)])
+def test_a_measured_opening_beyond_its_range_is_cut(measured: float, opening: float) -> None:
+    assert SafetyFilter(LIMITS).anchor(START, measured)[9] == pytest.approx(opening)
+
+
 def test_a_goal_is_approached_at_the_speed_and_not_past_the_lead(anchored: SafetyFilter) -> None:
     """The arm stands still, as if it were held: the target runs to the lead and waits there."""
     moved = anchored.stream(ahead(0.15, 0.2), START, DT)[:3] - START[:3, 3]
