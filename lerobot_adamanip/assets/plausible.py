@@ -85,7 +85,7 @@ def _require_sizes(found: Posed, annotation: Annotation) -> None:
     roles, urdf = ROLES[annotation.category], found.urdf
     least, most = max(SMALLEST, roles.typical_size / OFF), min(LARGEST, OFF * roles.typical_size)
     for surfaces in (found.visuals, found.collisions):
-        for role in reversed(roles.joints):  # the smaller part first, because it tells more
+        for role in reversed(roles.joints):  # smaller part first: its error is more specific
             joint = next(each for each in urdf.joints if each.name == annotation.joints[role.name].joint)
             longest, (smallest, largest) = _longest(surfaces, _below(urdf, joint.child)), role.extents
             what = f"is of a size no {annotation.category} has." if longest else "moves no shape."
