@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.datasets.reading import read_info
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
@@ -37,7 +38,6 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 INTERVENTION = "intervention"
 """Column of LeRobot's DAgger recordings: whether a person or an expert had taken over."""
-_IMAGES = "observation.images."
 _ROTATION_OFF = 0.05
 """Maximum error of a valid target rotation. A larger error means that the robot has not accepted a target yet."""
 
@@ -71,9 +71,9 @@ class DenseRecording:
                 "observation.state with the names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
                 "lerobot-record --robot.type=adamanip_franka",
             )
-        depth = f"{_IMAGES}{camera}{DEPTH_SUFFIX}"
+        depth = image_column(camera) + DEPTH_SUFFIX
         if depth not in info["features"]:
-            pictures = [key for key in info["features"] if key.startswith(_IMAGES)]
+            pictures = [key for key in info["features"] if is_image_column(key)]
             raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a depth camera")
         return cls(folder, info, camera)
 
@@ -181,8 +181,8 @@ class DenseRecording:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
         begin = int(self.dataset.meta.episodes[number]["dataset_from_index"])
         item = self.dataset[begin + tick]
-        depth = np.asarray(item[f"{_IMAGES}{self.camera}{DEPTH_SUFFIX}"]).squeeze()
-        colour = item.get(f"{_IMAGES}{self.camera}")
+        depth = np.asarray(item[image_column(self.camera) + DEPTH_SUFFIX]).squeeze()
+        colour = item.get(image_column(self.camera))
         if colour is not None:
             colour = np.rint(np.asarray(colour).transpose(1, 2, 0) * 255.0).astype(np.uint8)
         return colour, depth.round().astype(np.uint16)

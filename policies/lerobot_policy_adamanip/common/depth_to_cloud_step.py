@@ -21,6 +21,7 @@ from lerobot.processor import (
 )
 from torch import Tensor
 
+from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
@@ -28,7 +29,6 @@ from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, FRONT_CAMERA
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig
 
-IMAGES = "observation.images."
 Pipelines = tuple[
     PolicyProcessorPipeline[dict[str, Any], dict[str, Any]], PolicyProcessorPipeline[PolicyAction, PolicyAction]
 ]
@@ -74,12 +74,12 @@ class DepthToCloudStep(SameFeaturesStep):
     def __call__(self, transition: EnvTransition) -> EnvTransition:
         """Returns a transition with the cloud (B, N, 3), or the transition unchanged."""
         observation = transition.get(TransitionKey.OBSERVATION)
-        key = f"{IMAGES}{self.camera}{DEPTH_SUFFIX}"
+        key = image_column(self.camera) + DEPTH_SUFFIX
         if observation is None or observation.get(POINT_CLOUD) is not None or observation.get(key) is None:
             return transition
         picture = observation[key]
         cloud = self._clouds(picture, observation.get(STATE))
-        kept = {name: value for name, value in observation.items() if not name.startswith(IMAGES)}
+        kept = {name: value for name, value in observation.items() if not is_image_column(name)}
         kept[POINT_CLOUD] = cloud.to(picture.device)
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
 
