@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.collected_dataset import CollectedDataset, CollectedEpisode
 from lerobot_adamanip.collection.fingerprint import collection_fingerprint
-from lerobot_adamanip.collection.record import EnvFactory
+from lerobot_adamanip.collection.record import EnvFactory, Environments
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.datasets.check.findings import Progress as CheckProgress
@@ -87,22 +86,35 @@ def replay(
         DatasetError: the dataset is missing, incomplete or damaged.
         ConfigurationError: the episode does not exist.
     """
-    dataset = _open(Path(root), episode, assets)
+    dataset = _open(Path(root), assets)
+    with Environments(make_env, dataset.manifest.spec) as environments:
+        result, pictures = _replayed(dataset, episode, environments, assets, progress, look=video is not None)
+    if video is not None:
+        _write_video(video, dataset, episode, pictures)
+    return result
+
+
+def _replayed(
+    dataset: CollectedDataset,
+    episode: int,
+    environments: Environments,
+    assets: str | Path | None,
+    progress: Progress = lambda done, total: None,
+    *,
+    look: bool = False,
+) -> tuple[ReplayResult, list[Picture]]:
+    """Replays one episode of an open dataset; returns the comparison, and the pictures if ``look``."""
+    if not 0 <= episode < len(dataset.rows):
+        raise ConfigurationError(
+            "No such episode.", got=episode, allowed=f"0 to {len(dataset.rows) - 1}", hint="--episode 0"
+        )
     recorded = dataset.episode(episode)
     object_id = recorded.record["object_id"]
     _require_content(dataset.manifest, object_id, assets)
-    with contextlib.closing(make_env(dataset.manifest.spec.environment_of(category_of(object_id)))) as env:
-        changed = differing_parts(dataset.manifest.fingerprint, collection_fingerprint(env))
-        seen, pictures, success = _run(env, recorded, progress, look=video is not None)
-    if video is not None:
-        _write_video(video, dataset, episode, pictures)
-    return _compared(episode, recorded, seen, success, changed)
-
-
-def _compared(
-    episode: int, recorded: CollectedEpisode, seen: list[Columns], success: bool, changed: tuple[str, ...]
-) -> ReplayResult:
-    return ReplayResult(
+    env = environments.of(category_of(object_id))
+    changed = differing_parts(dataset.manifest.fingerprint, collection_fingerprint(env))
+    seen, pictures, success = _run(env, recorded, progress, look=look)
+    result = ReplayResult(
         episode=episode,
         object_id=recorded.record["object_id"],
         seed=recorded.record["seed"],
@@ -116,9 +128,10 @@ def _compared(
         recorded_success=recorded.record["success"],
         changed=changed,
     )
+    return result, pictures
 
 
-def _open(root: Path, episode: int, assets: str | Path | None) -> CollectedDataset:
+def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
     load_check(root)
     if not manifest_path(root).exists():
         raise DatasetError(
@@ -127,12 +140,7 @@ def _open(root: Path, episode: int, assets: str | Path | None) -> CollectedDatas
             allowed="a dataset of `adamanip collect`, or a part of one",
             hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())}",
         )
-    dataset = CollectedDataset.open(root, assets)
-    if not 0 <= episode < len(dataset.rows):
-        raise ConfigurationError(
-            "No such episode.", got=episode, allowed=f"0 to {len(dataset.rows) - 1}", hint="--episode 0"
-        )
-    return dataset
+    return CollectedDataset.open(root, assets)
 
 
 def _write_video(video: str | Path, dataset: CollectedDataset, episode: int, pictures: list[Picture]) -> None:
@@ -199,13 +207,14 @@ def check_replays(
         assets: folder of external assets, if the dataset uses any.
         progress: called with the stage ``replay``, finished and total episodes.
     """
-    report, chosen = Report(), list(episodes)
-    for done, number in enumerate(chosen, start=1):
-        result = replay(root, number, make_env, assets=assets)
-        if not result.agrees(tolerance):
-            largest = max(result.differences, key=lambda key: result.differences[key])
-            text = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
-            changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
-            report.add("replay", text + changed, None, number)
-        progress("replay", done, len(chosen))
+    report, chosen, dataset = Report(), list(episodes), _open(root, assets)
+    with Environments(make_env, dataset.manifest.spec) as environments:
+        for done, number in enumerate(chosen, start=1):
+            result, _ = _replayed(dataset, number, environments, assets)
+            if not result.agrees(tolerance):
+                largest = max(result.differences, key=lambda key: result.differences[key])
+                text = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
+                changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
+                report.add("replay", text + changed, None, number)
+            progress("replay", done, len(chosen))
     return report
