@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
@@ -37,18 +37,3 @@ def events(commands: Tensor, poses: Tensor, valid: Tensor, *, feedback: bool = T
         dim=-1,
     )
     return rows.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~valid[..., None], 0.0)
-
-
-class EventMemory(nn.Module):
-    """Encodes `events` in order with a GRU, so that old failures count as much as the latest."""
-
-    def __init__(self, dim: int) -> None:
-        super().__init__()
-        self.embedding = nn.Sequential(nn.Linear(EVENT_DIM, dim), nn.ReLU())
-        self.gru = nn.GRU(dim, dim, batch_first=True)
-
-    def forward(self, happened: Tensor) -> Tensor:
-        """(B, H, 16) -> (B, dim)."""
-        _, last = self.gru(self.embedding(happened) * happened[..., -1:])
-        memory: Tensor = last[0]
-        return memory

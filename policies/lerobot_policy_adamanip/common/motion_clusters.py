@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, STATE
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, GRIPPER_DIM, STATE
 from lerobot_policy_adamanip.common.recorded_rows import RecordedRows
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, motion_between
 
@@ -42,16 +42,15 @@ def cluster_motions(motions: NDArray[np.float32], count: int, *, seed: int = 0) 
     return torch.from_numpy(typical), torch.from_numpy(spread)
 
 
-def demonstrated_motions(recorded: RecordedRows) -> NDArray[np.float32]:
-    """Returns the motions (M, 7) to all labels of a dataset."""
-    motions = motion_between(recorded.labelled(ACTION), recorded.labelled(STATE)[:, :ACTION_DIM])
-    result: NDArray[np.float32] = motions.numpy()
-    return result
+def demonstrated_motions(recorded: RecordedRows) -> tuple[Tensor, Tensor]:
+    """Returns the motions (M, 7) to all labels of a dataset, and the hands' openings (M,) at their start."""
+    state = recorded.labelled(STATE)
+    return motion_between(recorded.labelled(ACTION), state[:, :ACTION_DIM]), state[:, GRIPPER_DIM]
 
 
-def warn_of_other_motions(motions: NDArray[np.float32], anchors: Tensor, spread: Tensor) -> None:
+def warn_of_other_motions(motions: Tensor, anchors: Tensor, spread: Tensor) -> None:
     """Warns if many motions (M, 7) are far from all anchors (K, 7), which were fitted to another dataset."""
-    rows = torch.from_numpy(motions).to(anchors)
+    rows = motions.to(anchors)
     nearest = torch.full((len(rows),), float("inf")).to(anchors)
     for anchor, unit in zip(anchors, spread, strict=True):
         nearest = torch.minimum(nearest, ((rows - anchor).abs() / unit).amax(dim=1))

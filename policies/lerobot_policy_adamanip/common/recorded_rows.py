@@ -15,7 +15,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, STATE, SUCCESS
+from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, STATE
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -119,14 +119,11 @@ class RecordedRows:
 def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
     """Returns states, labels, executed actions, and a mask of the labels; raises as `read_columns` does.
 
-    An episode's last row is its final observation, with a command to stay that was not sent. If the object is open,
-    staying is a correct label. After a correction without success, it would teach the policy to stay where it is stuck.
+    An episode's last row is its final observation, with a command to stay that was not sent. It is no label: a policy
+    that learnt it would stop a little before the goal.
     """
     executed = EXECUTED if EXECUTED in dataset_meta.features else ACTION
-    outcome = (DONE, SUCCESS) if {DONE, SUCCESS} <= set(dataset_meta.features) else ()
-    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *outcome)))
-    is_label: NDArray[np.bool_] = np.ones(len(columns[INDEX]), np.bool_)
-    if outcome:
-        done, success = (columns.pop(key).reshape(-1).astype(np.bool_) for key in outcome)
-        is_label = ~done | success
-    return RecordedRows({**columns, EXECUTED: columns[executed], IS_LABEL: is_label})
+    ends = (DONE,) if DONE in dataset_meta.features else ()
+    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *ends)))
+    done = columns.pop(DONE, np.zeros(len(columns[INDEX]))).reshape(-1).astype(np.bool_)
+    return RecordedRows({**columns, EXECUTED: columns[executed], IS_LABEL: ~done})

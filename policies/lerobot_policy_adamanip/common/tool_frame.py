@@ -62,6 +62,24 @@ def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
     return torch.cat([position, rotation[..., :2, :].flatten(-2), motion[..., 6:7]], dim=-1)
 
 
+@_in_float32
+def relative_poses(pose: Tensor, tool: Tensor) -> Tensor:
+    """Returns poses (..., 10) in the frames of tool poses (..., 10), broadcast; the gripper stays."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
+    turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
+    return torch.cat([moved.squeeze(-2), turned[..., :2, :].flatten(-2), pose[..., GRIPPER_DIM:]], dim=-1)
+
+
+@_in_float32
+def absolute_poses(relative: Tensor, tool: Tensor) -> Tensor:
+    """Inverts `relative_poses`."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    position = tool[..., POSITION_DIMS] + (frame @ relative[..., POSITION_DIMS, None]).squeeze(-1)
+    turned = frame @ matrix_from_6d(relative[..., ROTATION_DIMS])
+    return torch.cat([position, turned[..., :2, :].flatten(-2), relative[..., GRIPPER_DIM:]], dim=-1)
+
+
 def reverse(motion: Tensor) -> Tensor:
     """Returns the reverse motions (..., 7), with the same gripper."""
     turn = matrix_from_rotation_vector(motion[..., 3:6])

@@ -12,17 +12,20 @@ from lerobot.optim.schedulers import DiffuserSchedulerConfig
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.presets import FIXED, OPTIONS, PRESETS
 
 CHOICES = {
-    "head": ("anchors", "diffusion"),
     "encoder": ("mlp", "pointnet2"),
     "proprioception": ("pose", "full"),
     "noise_scheduler_type": ("DDPM", "DDIM"),
     "prediction_type": ("epsilon", "sample"),
 }
-ANCHOR_SIZES = ("num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points")
-SIZES = ("down_dims", "n_groups", "kernel_size", "num_points", "encoder_dims", "num_inference_steps")
+COUNTS = (
+    "num_points", "num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points",
+    "num_draws", "num_inference_steps",
+)  # fmt: skip
+"""Options that are at least 1."""
+SIZES = (*COUNTS, "down_dims", "n_groups", "kernel_size", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
 
@@ -52,13 +55,16 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
 
-    # Head that draws actions: anchors (typical motions, refined) or diffusion, the paper's (fast anchors, diffusion
-    # diffusion, dp3 diffusion, paper diffusion).
+    # Set by the preset, not to be changed: what draws actions, anchors (typical motions, refined) or diffusion, the
+    # paper's (fast anchors, diffusion diffusion, dp3 diffusion, paper diffusion).
     head: str = from_preset()
+    # Set by the preset, not to be changed: the frame of clouds and actions, the tool's or the robot's base (fast tool,
+    # diffusion tool, dp3 base, paper base).
+    frame: str = from_preset()
 
-    # Observed steps, including the present one; 1 for the head anchors (fast 1, diffusion 1, dp3 2, paper 4).
+    # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 8, dp3 0, paper 4).
+    # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 16, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
     # Number of actions per chunk (fast 1, diffusion 4, dp3 4, paper 4).
     horizon: int = from_preset()
@@ -66,21 +72,17 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     n_action_steps: int = from_preset()
 
     # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, diffusion
-    # 512, dp3 1024, paper 4096).
+    # 1024, dp3 1024, paper 4096).
     num_points: int = from_preset()
     # Encoder of clouds: mlp (DP3's PointNet) or pointnet2 (the paper's) (fast mlp, diffusion mlp, dp3 mlp, paper
     # pointnet2).
     encoder: str = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128
-    # 256, paper 64 128 256 512).
+    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128 256,
+    # paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
     # Number of features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
-    # Add points relative to the tool, and use positions of actions relative to it (fast True, diffusion True, dp3
-    # False, paper False). Needs states and actions that are poses, with the names of this project's datasets.
-    tcp_relative: bool = from_preset()
-    # Proprioception: pose (tool pose and gripper) or full (joints too) (fast pose, diffusion pose, dp3 full,
-    # paper full).
+    # Proprioception: pose (tool pose and gripper) or full (joints too) (dp3 full, paper full).
     proprioception: str = from_preset()
     # Use the external joint torques as an input.
     use_effort: bool = False
@@ -90,52 +92,65 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Training only: weight rows so that all tasks have the same weight.
     balance_tasks: bool = False
 
-    # Head anchors: use results of past actions as inputs: the undone motion, and the reached gripper opening.
-    use_feedback: bool = True
-    # Head anchors: number of anchors, typical motions of the demonstrations.
-    num_anchors: int = 32
-    # Head anchors: size of the memory of past actions.
-    memory_dim: int = 64
-    # Head anchors: width of the layers after cloud and memory.
-    trunk_dim: int = 256
-    # Head anchors: number of first points used to choose an anchor; refinement uses all points.
-    coarse_points: int = 512
-    # Head anchors: refinement steps of the pose that an open hand approaches; 0 for none.
-    num_refinements: int = 3
-    # Head anchors: number of nearest points used by a refinement step.
-    refinement_points: int = 128
-    # Head anchors, training only: size of a random subset of coarse_points.
-    training_points: int = 320
-    # Head anchors, training only: standard deviation of noise on points [m].
-    point_noise_std: float = 0.002
+    # Use results of past actions as inputs: the undone motion, and the reached gripper opening (fast True, diffusion
+    # True).
+    use_feedback: bool = from_preset()
+    # Size of the memory of contact events (fast 64, diffusion 64).
+    memory_dim: int = from_preset()
+    # Do not repeat a failed motion of a closed hand until something has moved (fast True, diffusion True).
+    avoid_repeats: bool = from_preset()
+    # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
+    # end, a motion of an empty closed hand, or (diffusion) a repeated failure (fast 4, diffusion 4).
+    num_draws: int = from_preset()
+    # Least probability of an anchor; less probable ones are not drawn (fast 0.03).
+    min_probability: float = from_preset()
+    # Number of anchors, typical motions of the demonstrations. The head diffusion uses them to know which poses to
+    # refine (fast 32, diffusion 32).
+    num_anchors: int = from_preset()
+    # Width of the layers after the cloud (fast 256).
+    trunk_dim: int = from_preset()
+    # Number of first points used to choose a motion; refinement uses all points (fast 512, diffusion 512).
+    coarse_points: int = from_preset()
+    # Refinement steps of the pose that an open hand approaches; 0 for none (fast 3, diffusion 3).
+    num_refinements: int = from_preset()
+    # Number of nearest points used by a refinement step (fast 128, diffusion 128).
+    refinement_points: int = from_preset()
+    # Largest shift by refinement; a pose that would shift further has nothing to hold [m] (fast 0.1, diffusion 0.1).
+    refinement_reach: float = from_preset()
+    # Training only: size of a random subset of coarse_points (fast 320, diffusion 320).
+    training_points: int = from_preset()
+    # Training only: standard deviation of noise on points [m] (fast 0.002, diffusion 0.002).
+    point_noise_std: float = from_preset()
 
-    # Channels of the U-Net's levels; the chunk is halved between levels (fast 128 256, diffusion 128 256, dp3 512
-    # 1024 2048, paper 256 512 1024).
-    down_dims: tuple[int, ...] = from_preset()
-    # Kernel of the U-Net's convolutions over time, odd (fast 3, diffusion 3, dp3 5, paper 5).
+    # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dp3 512 1024 2048, paper
+    # 256 512 1024).
+    down_dims: tuple[int, ...] | None = from_preset()
+    # Kernel of the U-Net's convolutions over time, odd (diffusion 3, dp3 5, paper 5).
     kernel_size: int = from_preset()
-    # Groups of the U-Net's group normalisation; must divide all down_dims.
-    n_groups: int = 8
-    # Size of the diffusion step's embedding (fast 64, diffusion 64, dp3 128, paper 256).
+    # Groups of the U-Net's group normalisation; must divide all down_dims (diffusion 8, dp3 8, paper 8).
+    n_groups: int = from_preset()
+    # Size of the diffusion step's embedding (diffusion 64, dp3 128, paper 256).
     diffusion_step_embed_dim: int = from_preset()
-    # FiLM with scale: the condition scales and shifts features, instead of only shifting them.
-    use_film_scale_modulation: bool = True
-    # Recompute the U-Net's activations in the backward pass: less memory, more time.
-    gradient_checkpointing: bool = False
+    # FiLM with scale: the condition scales and shifts features, instead of only shifting them (diffusion True, dp3
+    # True, paper True).
+    use_film_scale_modulation: bool = from_preset()
+    # Recompute the U-Net's activations in the backward pass: less memory, more time (diffusion False, dp3 False, paper
+    # False).
+    gradient_checkpointing: bool = from_preset()
 
-    # Sampler: DDPM or DDIM (fast DDIM, diffusion DDIM, dp3 DDIM, paper DDPM).
+    # Sampler: DDPM or DDIM (diffusion DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
-    # Diffusion steps in training.
-    num_train_timesteps: int = 100
-    # Denoising steps per chunk at run time (fast 10, diffusion 10, dp3 10, paper 100).
+    # Diffusion steps in training (diffusion 100, dp3 100, paper 100).
+    num_train_timesteps: int = from_preset()
+    # Denoising steps per chunk at run time (diffusion 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
-    # Noise schedule, by its name in diffusers.
-    beta_schedule: str = "squaredcos_cap_v2"
-    # Target of the U-Net: epsilon (the noise) or sample (the clean action) (fast sample, diffusion sample, dp3 sample,
-    # paper epsilon).
+    # Noise schedule, by its name in diffusers (diffusion squaredcos_cap_v2, dp3 squaredcos_cap_v2, paper
+    # squaredcos_cap_v2).
+    beta_schedule: str = from_preset()
+    # Target of the U-Net: epsilon (the noise) or sample (the clean action) (diffusion sample, dp3 sample, paper
+    # epsilon).
     prediction_type: str = from_preset()
-    # Bound of an action while sampling, in normalised units, or in 0.15 m with tcp_relative (fast 6.0, diffusion
-    # 6.0, dp3 1.0, paper 1.0).
+    # Bound of an action while sampling, in units of the denoised values (diffusion 4.0, dp3 1.0, paper 1.0).
     clip_sample_range: float = from_preset()
 
     # Exponent of the averaged weights' decay, which is 1 - (1 + n)^-ema_power at step n.
@@ -143,23 +158,22 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Largest decay of the averaged weights.
     ema_max: float = 0.9999
 
-    # Training only: largest shift of scenes along each axis [m] (fast 0.0, diffusion 0.03, dp3 0.0, paper 0.0).
+    # Training only: largest shift of scenes along each axis [m] (dp3 0.0, paper 0.0).
     augmentation_translation: float = from_preset()
-    # Training only: largest turn of scenes about the vertical [rad]; joint positions do not change (fast 0.0, diffusion
-    # 0.1, dp3 0.0, paper 0.0).
+    # Training only: largest turn of scenes about the vertical [rad]; joint positions do not change (dp3 0.0, paper
+    # 0.0).
     augmentation_yaw: float = from_preset()
-    # Point on the vertical of augmentation_yaw: x, y, z [m], robot base frame.
-    augmentation_center: tuple[float, float, float] = (0.55, 0.0, 0.0)
+    # Point on the vertical of augmentation_yaw: x, y, z [m], robot base frame (dp3 0.55 0.0 0.0, paper 0.55 0.0 0.0).
+    augmentation_center: tuple[float, float, float] | None = from_preset()
     # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
     # that always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Training only: standard deviation of noise on past actions [normalised units] (fast 0.0, diffusion 0.02, dp3 0.0,
-    # paper 0.0).
+    # Training only: standard deviation of noise on past actions [normalised units] (dp3 0.0, paper 0.0).
     history_noise_std: float = from_preset()
 
-    # Normalisation of each kind of feature. Default: IDENTITY for the head anchors, else MIN_MAX of STATE and ACTION.
+    # Normalisation of each kind of feature. Default: IDENTITY in the tool's frame, else MIN_MAX of STATE and ACTION.
     normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
-    # Learning rate of AdamW (fast 0.001, diffusion 0.0005, dp3 0.0001, paper 0.0001).
+    # Learning rate of AdamW (fast 0.001, diffusion 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
     # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, dp3 1e-06, paper 1e-06).
     optimizer_weight_decay: float = from_preset()
@@ -174,10 +188,15 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
         self._take_preset()
         for name, choices in CHOICES.items():
-            require_choice(name, getattr(self, name), choices)
+            if self.uses(name):
+                require_choice(name, getattr(self, name), choices)
         self._check_sizes()
         self._check_horizon()
         self._check_mapping()
+
+    def uses(self, name: str) -> bool:
+        """Returns whether the preset uses an option of `OPTIONS`."""
+        return name in PRESETS[self.preset]
 
     def _take_preset(self) -> None:
         values = PRESETS[require_choice("preset", self.preset, PRESETS)]
@@ -188,63 +207,74 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 allowed=f"preset={self.values_from}",
                 hint=f"a new training with --policy.type=dp3_adaptive --policy.preset={self.preset}",
             )
-        for name, value in values.items():
-            if getattr(self, name) is None:
-                setattr(self, name, value)
+        for name in OPTIONS:
+            given = getattr(self, name)
+            if given is not None and (name not in values or (name in FIXED and given != values[name])):
+                others = [preset for preset, used in PRESETS.items() if name in used and name not in FIXED]
+                others = others or [preset for preset, used in PRESETS.items() if used[name] == given]
+                raise self._error(
+                    f"The preset {self.preset} does not use this option or value.",
+                    (name,),
+                    f"{name} with preset={' or '.join(others) or self.preset}",
+                    f"--policy.preset={(others or [self.preset])[0]}, or without --policy.{name}",
+                )
+            if given is None:
+                setattr(self, name, values.get(name))
         self.values_from = self.preset
         if not self.normalization_mapping:
-            mode = NormalizationMode.IDENTITY if self.head == "anchors" else NormalizationMode.MIN_MAX
+            mode = NormalizationMode.IDENTITY if self.frame == "tool" else NormalizationMode.MIN_MAX
             none = NormalizationMode.IDENTITY
             self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
 
     def _check_sizes(self) -> None:
-        widths = tuple(self.down_dims)
-        fits = widths and all(width > 0 and width % self.n_groups == 0 for width in widths) and self.kernel_size % 2
-        fits = fits and all(getattr(self, name) >= 1 for name in (*ANCHOR_SIZES, "num_points"))
-        fits = fits and self.num_refinements >= 0 and len(self.encoder_dims) > 0
-        if not fits or not 1 <= self.num_inference_steps <= self.num_train_timesteps:
+        fits = all(getattr(self, name) >= 1 for name in COUNTS if self.uses(name)) and len(self.encoder_dims) > 0
+        fits = fits and (self.num_refinements or 0) >= 0
+        steps = "num_inference_steps <= num_train_timesteps"
+        if self.head == "diffusion":
+            widths = tuple(self.down_dims)
+            fits = fits and all(width > 0 and width % self.n_groups == 0 for width in widths) and len(widths) > 0
+            fits = fits and self.kernel_size % 2 == 1 and self.num_inference_steps <= self.num_train_timesteps
+            steps += f"={self.num_train_timesteps}"
+        if not fits:
             raise self._error(
                 "Sizes do not fit.",
-                (*SIZES, *ANCHOR_SIZES, "num_refinements"),
-                "down_dims that n_groups divides, an odd kernel_size, num_points >= 1, some encoder_dims, "
-                f"{', '.join(ANCHOR_SIZES)} >= 1, num_refinements >= 0, "
-                f"1 <= num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
-                "--policy.preset=fast, and none of these",
+                tuple(name for name in SIZES if self.uses(name)),
+                f"down_dims that n_groups divides, an odd kernel_size, some encoder_dims, {', '.join(COUNTS)} >= 1, "
+                f"num_refinements >= 0, {steps}",
+                f"--policy.preset={self.preset}, and none of these",
             )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             hint = "--policy.augmentation_mirror=0.5"
             raise self._error("Not a share of scenes.", ("augmentation_mirror",), "0 to 1", hint)
 
     def _check_horizon(self) -> None:
-        factor = 1 if self.head == "anchors" else 2 ** (len(self.down_dims) - 1)
+        factor = 2 ** (len(self.down_dims) - 1) if self.head == "diffusion" else 1
         fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
         if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
             raise self._error(
                 "Horizons do not fit.",
-                HORIZONS,
+                tuple(name for name in HORIZONS if self.uses(name)),
                 f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, "
                 "n_obs_steps >= 1, n_action_history_steps >= 0",
                 "--policy.horizon=4 --policy.n_action_steps=1",
             )
-        if self.head == "anchors" and (self.n_obs_steps, self.horizon) != (1, 1):
+        if self.frame == "tool" and (self.n_obs_steps != 1 or (self.head == "anchors" and self.horizon != 1)):
             raise self._error(
-                "The head anchors uses one cloud and draws one action.",
+                "The tool's frame uses one cloud, and the head anchors draws one action.",
                 ("n_obs_steps", "horizon"),
-                "n_obs_steps=1, horizon=1; n_action_history_steps sets the length of the history",
-                "--policy.preset=diffusion",
+                "n_obs_steps=1, and horizon=1 for anchors; n_action_history_steps sets the length of the history",
+                "--policy.preset=dp3",
             )
 
     def _check_mapping(self) -> None:
-        """Checks that STATE and ACTION have the one normalisation under which poses can be related to clouds."""
+        """Checks that poses stay in metres where they are related to clouds."""
         modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
-        anchors = self.head == "anchors"
-        wanted = NormalizationMode.IDENTITY if anchors else NormalizationMode.MIN_MAX
-        if (anchors or self.tcp_relative) and any(mode is not wanted for mode in modes):
+        if self.frame == "tool" and any(mode is not NormalizationMode.IDENTITY for mode in modes):
             raise ConfigurationError(
-                f"{'The head anchors' if anchors else 'tcp_relative'} does not work with this normalisation.",
+                "The tool's frame does not work with this normalisation.",
                 got=", ".join(map(str, modes)),
-                allowed=f"{wanted.name} for STATE and for ACTION",
-                hint="--policy.preset=diffusion --policy.tcp_relative=false",
+                allowed="IDENTITY for STATE and for ACTION",
+                hint="without --policy.normalization_mapping, or --policy.preset=dp3",
             )
 
     def _error(self, what: str, names: tuple[str, ...], allowed: str, hint: str) -> ConfigurationError:
@@ -258,8 +288,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     @property
     def observed_steps(self) -> int:
-        """Observation steps kept at run time; the head anchors also needs the poses before past actions."""
-        return max(self.n_obs_steps, 1 + self.n_action_history_steps if self.head == "anchors" else 1)
+        """Observation steps kept at run time; the tool's frame also needs the poses before past actions."""
+        return 1 + self.n_action_history_steps if self.frame == "tool" else self.n_obs_steps
 
     def validate_features(self) -> None:
         """Keeps cloud, state and, with ``use_effort``, effort as inputs; see `CloudPolicyConfig.keep_inputs`."""

@@ -7,27 +7,24 @@ the features of cloud and history: `diffusion`, the paper's, or `anchors`.
 from __future__ import annotations
 
 import copy
-import logging
 from collections import deque
 from typing import Any
 
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.motion_clusters import cluster_motions, demonstrated_motions, warn_of_other_motions
+from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
 from lerobot_policy_adamanip.common.tool_frame import mirrored_motions
 from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.diffusion import DiffusionHead
-from lerobot_policy_adamanip.dp3_adaptive.pose_frames import PoseFrames
+from lerobot_policy_adamanip.dp3_adaptive.diffusion import BaseDiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION
+from lerobot_policy_adamanip.dp3_adaptive.tool_diffusion import ToolDiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows, Window, balanced_weights
 
 TASK_INDEX = "task_index"
@@ -62,16 +59,10 @@ class DP3AdaptivePolicy(CloudPolicy):
         self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any
     ):
         super().__init__(config)
-        if config.head == "anchors":
+        if config.frame == "tool":
             config.require_poses()
         config.require_action()
-        if config.tcp_relative and not config.has_pose_layout:
-            logging.getLogger(__name__).warning(
-                "State and action are not the contract's ten pose values: tcp_relative, augmentation and "
-                "orthonormalisation do not apply."
-            )
-        self.frames = PoseFrames(config, dataset_stats)
-        self.head = DiffusionHead(config, self.frames) if config.head == "diffusion" else AnchorHead(config)
+        self.head = self._make_head(dataset_stats)
         self.model = self.head.network()
         # Part of the policy, so that averaged weights are saved, resumed and evaluated.
         self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
@@ -79,24 +70,27 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._ema_count: int | None = None  # set when `update` reads the buffer
         self.register_load_state_dict_post_hook(_clear_ema_count)
         self._attach_dataset(dataset_meta)
-        if self._windows is not None and config.head == "anchors":
-            self.fit_anchors(demonstrated_motions(self._windows.recorded))
+        if self._windows is not None and config.frame == "tool":
+            self.fit_anchors(*demonstrated_motions(self._windows.recorded))
         self.reset()
+
+    def _make_head(self, stats: schema.Statistics | None) -> AnchorHead | BaseDiffusionHead | ToolDiffusionHead:
+        if self.config.head == "anchors":
+            return AnchorHead(self.config)
+        if self.config.frame == "tool":
+            return ToolDiffusionHead(self.config)
+        return BaseDiffusionHead(self.config, stats)
 
     @classmethod
     def from_pretrained(
         cls, pretrained_name_or_path, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs
     ):
-        """Loads a checkpoint as LeRobot does. ``dataset_stats`` of new data replace the checkpoint's for poses.
-
-        The cloud's unit stays the checkpoint's, because its encoder was trained with it.
-        """
+        """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
-        policy.frames.set_pose_statistics(dataset_stats)
         policy._attach_dataset(dataset_meta)
-        if policy._windows is not None and policy.config.head == "anchors":
-            motions = demonstrated_motions(policy._windows.recorded)
-            warn_of_other_motions(motions, policy.model.anchors, policy.model.spread)
+        if policy._windows is not None and policy.config.frame == "tool":
+            motions, _ = demonstrated_motions(policy._windows.recorded)
+            warn_of_other_motions(motions, policy.model.motions.anchors, policy.model.motions.spread)
         return policy
 
     def _attach_dataset(self, dataset_meta: Any) -> None:
@@ -113,14 +107,12 @@ class DP3AdaptivePolicy(CloudPolicy):
         if self.config.balance_tasks:
             self._task_weights = balanced_weights(dataset_meta)
 
-    def fit_anchors(self, motions: NDArray[np.float32]) -> None:
-        """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -]."""
+    def fit_anchors(self, motions: Tensor, openings: Tensor) -> None:
+        """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
         if self.config.augmentation_mirror:
-            motions = np.concatenate([motions, mirrored_motions(torch.from_numpy(motions)).numpy()])
-        anchors, spread = cluster_motions(motions, self.config.num_anchors)
+            motions, openings = torch.cat([motions, mirrored_motions(motions)]), openings.repeat(2)
         for model in (self.model, self.ema_model):
-            model.anchors.copy_(anchors)
-            model.spread.copy_(spread)
+            model.motions.fit(motions, openings)
 
     # Training ---------------------------------------------------------------------------------------------------
 
@@ -193,7 +185,7 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     def _as_executed(self, action: Tensor) -> Tensor:
         """Returns an action (B, A) as the environment receives it, normalised."""
-        if self.config.head != "diffusion" or not self.config.has_pose_layout:
+        if self.config.frame == "tool" or not self.config.has_pose_layout:
             return action
         rotation, gripper = orthonormal_6d(action[:, schema.ROTATION_DIMS]), action[:, schema.GRIPPER_DIM :].clamp(0, 1)
         return torch.cat([action[:, schema.POSITION_DIMS], rotation, gripper], dim=-1)
@@ -216,8 +208,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         return self._generate(observation, list(observed), noise)
 
     def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns the part of an observation to store: for the head anchors only the state."""
-        return {schema.STATE: observation[schema.STATE]} if self.config.head == "anchors" else observation
+        """Returns the part of an observation to store: in the tool's frame only the state."""
+        return {schema.STATE: observation[schema.STATE]} if self.config.frame == "tool" else observation
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the run-time history: actions (B, H, A), oldest first and zero before the start; validity (B, H)."""

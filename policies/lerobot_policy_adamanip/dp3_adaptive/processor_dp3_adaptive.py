@@ -208,7 +208,7 @@ def make_dp3_adaptive_pre_post_processors(
     inputs += [InstructionStep(), steps.to_device] if config.use_instruction else [steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:
-        moved = (config.augmentation_translation, config.augmentation_yaw, config.augmentation_center)
-        inputs.append(RigidAugmentationStep(*moved, config.augmentation_mirror))
+        moved = {name: getattr(config, f"augmentation_{name}") for name in ("translation", "yaw", "center", "mirror")}
+        inputs.append(RigidAugmentationStep(**{name: value for name, value in moved.items() if value is not None}))
         outputs.append(OrthonormaliseStep())
     return cast(Pipelines, make_policy_processor_pipelines([*inputs, steps.normalize], [*outputs, steps.to_cpu]))

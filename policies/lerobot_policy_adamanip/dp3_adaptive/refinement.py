@@ -11,8 +11,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lerobot_adamanip.contract.schema import POSITION_DIMS
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.losses import logistic_loss
 from lerobot_policy_adamanip.common.torch_rotations import SMALL, matrix_from_rotation_vector
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
@@ -27,13 +29,16 @@ TWIST_PROBABILITY = 0.5
 """Share of proposals that are also turned about the approach by any angle. Whether a lever lies or stands is visible
 only from nearby, and fingers that close along it hold nothing."""
 PROPOSALS_PER_GOAL = 4
-"""Number of proposals per goal: few rows of a batch need refinement, and this network is small."""
+"""Number of proposals near each goal: few rows of a batch need refinement, and this network is small. One more is
+elsewhere on the cloud, where there is nothing to hold."""
+ELSEWHERE_M = 0.08
+"""Least distance of that one from the goal."""
 POINT_NOISE_M = 0.001
 """Standard deviation of the noise on points in training."""
 
 
 class Refiner(nn.Module):
-    """Network that predicts the correction of a pose from the points near it.
+    """Network that predicts, from the points near a pose, its correction and whether there is something to hold.
 
     Its inputs exclude the chosen motion and the hand's pose: in training both are exact and would reveal the goal.
     """
@@ -42,32 +47,62 @@ class Refiner(nn.Module):
         super().__init__()
         self.neighbours = neighbours
         self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
-        self.out = nn.Sequential(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 7))
+        self.out = nn.Sequential(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 8))
 
-    def forward(self, cloud: Tensor, pose: Tensor) -> Tensor:
-        """Returns corrections (B, 7) in `CORRECTION_UNITS` of proposed poses (B, 10) in clouds (B, N, 3) [m]."""
+    def forward(self, cloud: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns corrections (B, 7) of poses (B, 10) in clouds (B, N, 3) [m], and logits (B,) of something to hold.
+
+        Corrections are in `CORRECTION_UNITS`.
+        """
         points = tool_frame.points_seen(cloud, pose)
         distance = (points - tool_frame.constant(CENTRE, points)).norm(dim=-1)
         nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + POINT_NOISE_M * torch.randn_like(points)
-        correction: Tensor = self.out(self.encoder(tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE)))
-        return correction
+        out = self.out(self.encoder(tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE))).float()
+        return out[:, :7], out[:, 7]
 
     def loss(self, cloud: Tensor, goal: Tensor) -> Tensor:
-        """Returns the mean error (B,) of corrections from proposals around the demonstrated goals (B, 10)."""
-        cloud, goal = (part.repeat_interleave(PROPOSALS_PER_GOAL, dim=0) for part in (cloud, goal))
-        proposed = tool_frame.pose_after(sample_proposals(goal), goal)
-        target = _correction(goal, proposed) / tool_frame.constant(CORRECTION_UNITS, goal)
-        error = F.smooth_l1_loss(self(cloud, proposed).float(), target, reduction="none").mean(dim=-1)
-        return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1)
+        """Returns the error (B,) of corrections and logits, from proposals around the demonstrated goals (B, 10)."""
+        rows = torch.arange(len(goal), device=goal.device)
+        near = rows.repeat_interleave(PROPOSALS_PER_GOAL)
+        proposed = tool_frame.pose_after(sample_proposals(goal[near]), goal[near])
+        target = _correction(goal[near], proposed) / tool_frame.constant(CORRECTION_UNITS, goal)
+        elsewhere, far = sample_elsewhere(cloud, goal)
+        correction, logit = self(cloud[torch.cat([near, rows])], torch.cat([proposed, elsewhere]))
+        error = F.smooth_l1_loss(correction[: len(near)], target, reduction="none").mean(dim=-1)
+        error = error + logistic_loss(logit[: len(near)], torch.ones_like(error)) / 2
+        wrong = far * logistic_loss(logit[len(near) :], torch.zeros_like(far)) / 2
+        return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1) + wrong
 
-    def refined(self, cloud: Tensor, pose: Tensor, steps: int) -> Tensor:
-        """Returns poses (B, 10) after ``steps`` corrections; the gripper does not change."""
+    def refined(self, cloud: Tensor, pose: Tensor, steps: int, reach: float) -> tuple[Tensor, Tensor]:
+        """Returns poses (B, 10) after ``steps`` corrections, and whether there is something to hold (B,).
+
+        There is nothing if the corrections add up to more than ``reach`` [m]; they are cut there. The gripper stays.
+        """
+        start, logit = pose, torch.zeros_like(pose[:, 0])
         for _ in range(steps):
-            pose = _corrected(pose, self(cloud, pose).float() * tool_frame.constant(CORRECTION_UNITS, pose))
-        return pose
+            correction, logit = self(cloud, pose)
+            pose = _corrected(pose, correction * tool_frame.constant(CORRECTION_UNITS, pose))
+        shift = pose[:, POSITION_DIMS] - start[:, POSITION_DIMS]
+        length = shift.norm(dim=-1, keepdim=True)
+        kept = start[:, POSITION_DIMS] + shift * (reach / length.clamp(min=reach))
+        pose = torch.cat([kept, pose[:, POSITION_DIMS.stop :]], dim=-1)
+        return pose, (logit >= 0) & (length.squeeze(-1) < reach)
+
+
+def sample_elsewhere(cloud: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns proposals (B, 10) at random points of clouds (B, N, 3) [m], and whether they are far from goals (B,).
+
+    They are turned from the goals (B, 10) as other proposals are.
+    """
+    index = torch.randint(cloud.shape[1], (len(goal),), device=goal.device)
+    place = cloud[torch.arange(len(goal), device=goal.device), index]
+    turned = tool_frame.pose_after(sample_proposals(goal), goal)
+    at = turned[:, POSITION_DIMS] - goal[:, POSITION_DIMS] + place
+    far = (at - goal[:, POSITION_DIMS]).norm(dim=-1) > ELSEWHERE_M
+    return torch.cat([at, turned[:, POSITION_DIMS.stop :]], dim=-1), far.to(goal.dtype)
 
 
 def sample_proposals(goal: Tensor) -> Tensor:

@@ -1,0 +1,89 @@
+"""Contact events: past key frames that moved a closed hand. They are the only memory that changes a choice.
+
+A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
+Approaches, grasps and releases therefore leave no trace here.
+"""
+
+from __future__ import annotations
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND
+from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
+from lerobot_policy_adamanip.common.events import EVENT_DIM
+from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
+from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
+
+BLOCKED_SHARE = 0.3
+"""A motion of which a smaller share was done has failed; one that was done in part may go on."""
+SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.7
+"""Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
+
+
+def contact_events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
+    """Returns which key frames are contact events (B, H): the hand is closed before and after, and sent far enough.
+
+    A closed hand that is empty can only push, so only its motion forward counts.
+
+    Args:
+        commands: (B, H, 10) commanded poses, oldest first.
+        poses: (B, H + 1, 10) measured tool poses before each command, and the present one.
+        valid: (B, H) bool, false before the episode's start.
+    """
+    motion = motion_between(commands, poses[:, :-1])
+    shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
+    holds = poses[:, :-1, GRIPPER_DIM] >= EMPTY_HAND
+    moves = holds & ((shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)) | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
+    closed = commands[..., GRIPPER_DIM] < CLOSED
+    return valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+
+
+class ContactMemory(nn.Module):
+    """GRU over the contact events; other key frames leave its state unchanged."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        self.embedding = nn.Sequential(nn.Linear(EVENT_DIM, dim), nn.ReLU())
+        # A cell: on a GPU `nn.GRU` keeps its weights in one storage, which safetensors refuses to save.
+        self.cell = nn.GRUCell(dim, dim)
+
+    def forward(self, happened: Tensor, contact: Tensor) -> Tensor:
+        """`events` (B, H, 16), `contact_events` (B, H) -> (B, dim); zero without a contact event."""
+        embedded = self.embedding(happened)
+        state = torch.zeros_like(embedded[:, 0])
+        for step in range(contact.shape[1]):
+            state = torch.where(contact[:, step, None], self.cell(embedded[:, step], state), state)
+        return state
+
+
+def repeats_failure(commands: Tensor, poses: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
+    """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, (B, K) bool.
+
+    An event failed if less than `BLOCKED_SHARE` of its motion was done, or if the hand lost its grip. It counts until a
+    later one has moved something. Motions are compared in the base frame, whichever way a part is held. ``contact``
+    comes from `contact_events`, whose arguments the others are.
+    """
+    tool, reached = poses[:, :-1], poses[:, 1:]
+    sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
+    lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
+    failed = contact & (lost | (undone.norm(dim=-1) > (1 - BLOCKED_SHARE) * sent.norm(dim=-1)))
+    moved_later = (contact & ~failed).flip(1).cumsum(dim=1).flip(1) > 0
+    near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
+    past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
+    cosine = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1)
+    same = (failed & ~moved_later & near)[..., None] & (cosine > SAME_DIRECTION)
+    return same.any(dim=1) & (motions[..., 6] < CLOSED)
+
+
+def _scaled(motion: Tensor) -> Tensor:
+    """Returns translation and rotation (..., 6) of motions (..., 7) in `MOTION_UNITS`."""
+    return motion[..., :6] / constant(MOTION_UNITS, motion)[:6]
+
+
+def _in_base(scaled: Tensor, tool: Tensor) -> Tensor:
+    """Rotates translations and rotation vectors (B, K, 6) from the frames of tools (B, 1 or K, 10) to the base's."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS]).transpose(-1, -2)
+    return torch.cat([(part[..., None, :] @ frame).squeeze(-2) for part in scaled.split(3, dim=-1)], dim=-1)

@@ -1,0 +1,68 @@
+"""Typical motions of the demonstrations, and what is known of each; part of a network, saved with its weights."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
+from lerobot_adamanip.episode.contact_labels import CLOSED
+from lerobot_policy_adamanip.common import tool_frame
+from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
+
+GRIPPER_OPEN_MIN, MIN_TRANSLATION_M, MIN_ENDPOINT_SPREAD_M = 0.5, 0.02, 0.006
+"""Bounds of `TypicalMotions.needs_refinement`. Last approaches spread by 8 mm or more, because pre-grasps differ;
+motions that back off from a grasp spread by 5 mm."""
+MIN_EMPTY_SHARE = 0.05
+"""Least share of a motion's demonstrations that start with an empty closed hand, for such a hand to do it."""
+
+
+class TypicalMotions(nn.Module):
+    """Centres of the demonstrated motions' clusters, as in Behavior Transformers.
+
+    Attributes:
+        anchors: (K, 7) motions in the tool's frame [m, rad, -].
+        spread: (K, 7) standard deviations; zero before `fit`.
+        from_empty: (K,) bool, whether an empty closed hand may do it.
+    """
+
+    anchors: Tensor
+    spread: Tensor
+    from_empty: Tensor
+
+    def __init__(self, count: int) -> None:
+        super().__init__()
+        self.register_buffer("anchors", torch.zeros(count, tool_frame.MOTION_DIM))
+        self.register_buffer("spread", torch.zeros(count, tool_frame.MOTION_DIM))
+        self.register_buffer("from_empty", torch.ones(count, dtype=torch.bool))
+
+    def fit(self, motions: Tensor, openings: Tensor) -> None:
+        """Fits the anchors to demonstrated motions (M, 7), of hands with measured openings (M,) at their start."""
+        anchors, spread = cluster_motions(motions.numpy(), len(self.anchors))
+        self.anchors.copy_(anchors)
+        self.spread.copy_(spread)
+        starts = torch.zeros(len(anchors)).index_add(0, self.nearest(motions), (openings < EMPTY_HAND).float())
+        count = torch.zeros(len(anchors)).index_add(0, self.nearest(motions), torch.ones(len(motions)))
+        self.from_empty.copy_((anchors[:, -1] >= CLOSED) | (starts > MIN_EMPTY_SHARE * count))
+
+    def nearest(self, motion: Tensor) -> Tensor:
+        """Returns the index (...) of the nearest anchor of each motion (..., 7)."""
+        difference = (motion[..., None, :] - self.anchors) / tool_frame.constant(tool_frame.MOTION_UNITS, motion)
+        return difference.square().sum(dim=-1).argmin(dim=-1)
+
+    def needs_refinement(self, index: Tensor) -> Tensor:
+        """Returns whether anchors (...) are approaches of an open hand with a varying end point.
+
+        A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
+        """
+        approaches = (self.anchors[:, -1] > GRIPPER_OPEN_MIN) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
+        return varying[index]
+
+    def without_grip(self, index: Tensor, tool: Tensor) -> Tensor:
+        """Returns whether empty closed hands (B, 10) would act as if they held something, by anchors (B, K), (B, K).
+
+        An empty hand has to open, or to push where demonstrations do.
+        """
+        return (tool[:, GRIPPER_DIM] < EMPTY_HAND)[:, None] & ~self.from_empty[index]
