@@ -18,22 +18,25 @@ from lerobot_adamanip.hub.model_index import eval_results, results_table
 
 _HIDDEN = "articulated objects whose mechanism cannot be seen"
 _SUMMARIES = {
-    "dp3_adaptive": f"A policy over 3D point clouds that remembers what it has tried, for {_HIDDEN} "
-    "([AdaManip](https://adamanip.github.io), ICLR 2025).",
+    "dp3_adaptive": f"A policy over 3D point clouds for {_HIDDEN} ([AdaManip](https://adamanip.github.io), ICLR 2025).",
     "vat_mart": f"VAT-Mart's point-level policy for {_HIDDEN}.",
     "adaafford": f"AdaAfford's point-level policy for {_HIDDEN}.",
     "sampling": "Random macro actions: the baseline that knows where a part is held, and nothing else.",
 }
 _KEY_FRAME = "One action is one key frame: the arm is driven to the pose, or until it is stopped."
-_NOTES = {
-    "dp3_adaptive": f"{_KEY_FRAME} The policy's own past actions\ntell it what has been tried, as far as its "
-    "demonstrations show attempts that fail and are corrected.",
+_CONTACTS = "Past motions of its closed hand, and how far the arm followed them, tell it what has been tried."
+_METHODS = {
+    "fast": "It is no diffusion policy: it chooses a typical motion of its demonstrations and refines it.",
+    "diffusion": "The method is the paper's, in the tool's frame: a diffusion policy, whose approaches are refined.",
+    "dp3": "The method is 3D Diffusion Policy, without a history of actions.",
+    "paper": "The method is the paper's: a diffusion policy, conditioned on observations and its past actions.",
 }
+"""Preset of dp3_adaptive -> its method, for a card."""
 _ROWS = {
     "preset": ("preset", "`{}`"),
     "num_points": ("points", "the first {} of a cloud, which is farthest-point ordered"),
     "n_obs_steps": ("observations", "{}"),
-    "n_action_history_steps": ("memory", "the last {} actions"),
+    "n_action_history_steps": ("history", "the last {} actions"),
     "horizon": ("generates", "{} actions"),
     "chunk_size": ("generates", "{} actions"),
     "n_action_steps": ("executes", "{} before it looks again"),
@@ -46,10 +49,8 @@ _ROWS = {
     "num_inference_steps": ("sampling steps", "{}"),
 }
 """Policy option -> its name and format on a card."""
-_UNUSED = {
-    "anchors": ("noise_scheduler_type", "num_inference_steps"), "diffusion": ("num_anchors", "num_refinements"),
-}  # fmt: skip
-"""Policy head -> options without effect on it."""
+_UNUSED = {"diffusion": ("num_anchors",)}
+"""Policy head -> options that a card leaves out."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -112,12 +113,19 @@ def model_card(
         repo_id=repo_id,
         env_type=env_type,
         facts=_facts(checkpoint),
-        notes=_NOTES.get(kind, _KEY_FRAME),
+        notes=_notes(config),
         results=results_table(results),
         training=_training(training, demos),
         command=train_command(training, kind, env_type, demos),
         citation=citation(),
     )
+
+
+def _notes(config: Mapping[str, Any]) -> str:
+    preset = str(config.get("preset"))
+    first = f"{_KEY_FRAME} {_METHODS.get(preset, '')}".rstrip()
+    remembers = preset in ("fast", "diffusion") and config.get("n_action_history_steps")
+    return f"{first}\n{_CONTACTS}" if remembers else first
 
 
 def _dataset_of(training: Mapping[str, Any]) -> str | None:

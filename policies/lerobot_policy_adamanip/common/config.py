@@ -119,7 +119,7 @@ class CloudPolicyConfig(PreTrainedConfig):
                 f"{self.type} needs actions that are tool poses.",
                 got=f"action {tuple(self.action_feature.shape)}, named as poses: {self.pose_layout}",
                 allowed="the contract's ten pose values, in action and in state",
-                hint="adamanip collect, or --policy.type=dp3_adaptive --policy.preset=diffusion",
+                hint="adamanip collect, or --policy.type=dp3_adaptive --policy.preset=dp3",
             )
 
     def require_action(self) -> None:

@@ -1,4 +1,4 @@
-"""Contact events: past key frames that moved a closed hand. They are the only memory that changes a choice.
+"""Contact events: past key frames that sent a closed hand somewhere. The memory reads no others.
 
 A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
 Approaches, grasps and releases therefore leave no trace here.

@@ -1,4 +1,4 @@
-"""Features of past key frames, each command and how far the arm followed it; and a memory over them."""
+"""Features of past key frames: each command, and how far the arm followed it."""
 
 from __future__ import annotations
 

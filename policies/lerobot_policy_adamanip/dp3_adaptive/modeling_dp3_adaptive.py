@@ -1,7 +1,7 @@
 """``dp3_adaptive``: a policy over point clouds with a memory of its own actions.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
-the features of cloud and history: `diffusion`, the paper's, or `anchors`.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions:
+``diffusion``, the paper's, or ``anchors``, the default, which is no diffusion.
 """
 
 from __future__ import annotations
