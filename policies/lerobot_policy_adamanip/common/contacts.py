@@ -38,7 +38,8 @@ def contact_events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
     holds = poses[:, :-1, GRIPPER_DIM] >= EMPTY_HAND
     moves = holds & ((shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)) | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
     closed = commands[..., GRIPPER_DIM] < CLOSED
-    return valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+    result: Tensor = valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+    return result
 
 
 class ContactMemory(nn.Module):
@@ -75,7 +76,8 @@ def repeats_failure(commands: Tensor, poses: Tensor, contact: Tensor, motions: T
     past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
     cosine = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1)
     same = (failed & ~moved_later & near)[..., None] & (cosine > SAME_DIRECTION)
-    return same.any(dim=1) & (motions[..., 6] < CLOSED)
+    result: Tensor = same.any(dim=1) & (motions[..., 6] < CLOSED)
+    return result
 
 
 def _scaled(motion: Tensor) -> Tensor:
@@ -86,4 +88,5 @@ def _scaled(motion: Tensor) -> Tensor:
 def _in_base(scaled: Tensor, tool: Tensor) -> Tensor:
     """Rotates translations and rotation vectors (B, K, 6) from the frames of tools (B, 1 or K, 10) to the base's."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS]).transpose(-1, -2)
-    return torch.cat([(part[..., None, :] @ frame).squeeze(-2) for part in scaled.split(3, dim=-1)], dim=-1)
+    parts = (scaled[..., :3], scaled[..., 3:])
+    return torch.cat([(part[..., None, :] @ frame).squeeze(-2) for part in parts], dim=-1)

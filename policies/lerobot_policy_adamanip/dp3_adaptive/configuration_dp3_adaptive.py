@@ -39,14 +39,6 @@ def from_preset() -> Any:
 class DP3AdaptiveConfig(CloudPolicyConfig):
     """Options of ``dp3_adaptive``. Command-line options override the preset; a checkpoint saves the final values.
 
-    Time axis, for ``n_obs_steps = 2``, ``n_action_history_steps = 3``, ``horizon = 4``, ``n_action_steps = 2``::
-
-        step       t-3  t-2  t-1   t   t+1  t+2  t+3
-        observed              o    o
-        history     a    a    a
-        generated                  a    a    a    a
-        executed                   a    a
-
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
@@ -61,7 +53,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Set by the preset, not to be changed: the frame of clouds and actions, the tool's or the robot's base (fast tool,
     # diffusion tool, dp3 base, paper base).
     frame: str = from_preset()
-
     # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
     # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 16, dp3 0, paper 4).
@@ -70,7 +61,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     horizon: int = from_preset()
     # Number of actions executed before the next chunk (fast 1, diffusion 1, dp3 3, paper 2).
     n_action_steps: int = from_preset()
-
     # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, diffusion
     # 1024, dp3 1024, paper 4096).
     num_points: int = from_preset()
@@ -86,12 +76,10 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     proprioception: str = from_preset()
     # Use the external joint torques as an input.
     use_effort: bool = False
-
     # Use the instruction as an input, for one policy of several tasks.
     use_instruction: bool = False
     # Training only: weight rows so that all tasks have the same weight.
     balance_tasks: bool = False
-
     # Use results of past actions as inputs: the undone motion, and the reached gripper opening (fast True, diffusion
     # True).
     use_feedback: bool = from_preset()
@@ -121,7 +109,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     training_points: int = from_preset()
     # Training only: standard deviation of noise on points [m] (fast 0.002, diffusion 0.002).
     point_noise_std: float = from_preset()
-
     # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dp3 512 1024 2048, paper
     # 256 512 1024).
     down_dims: tuple[int, ...] | None = from_preset()
@@ -137,7 +124,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Recompute the U-Net's activations in the backward pass: less memory, more time (diffusion False, dp3 False, paper
     # False).
     gradient_checkpointing: bool = from_preset()
-
     # Sampler: DDPM or DDIM (diffusion DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
     # Diffusion steps in training (diffusion 100, dp3 100, paper 100).
@@ -152,12 +138,10 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     prediction_type: str = from_preset()
     # Bound of an action while sampling, in units of the denoised values (diffusion 4.0, dp3 1.0, paper 1.0).
     clip_sample_range: float = from_preset()
-
     # Exponent of the averaged weights' decay, which is 1 - (1 + n)^-ema_power at step n.
     ema_power: float = 0.75
     # Largest decay of the averaged weights.
     ema_max: float = 0.9999
-
     # Training only: largest shift of scenes along each axis [m] (dp3 0.0, paper 0.0).
     augmentation_translation: float = from_preset()
     # Training only: largest turn of scenes about the vertical [rad]; joint positions do not change (dp3 0.0, paper
@@ -170,7 +154,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     augmentation_mirror: float = 0.0
     # Training only: standard deviation of noise on past actions [normalised units] (dp3 0.0, paper 0.0).
     history_noise_std: float = from_preset()
-
     # Normalisation of each kind of feature. Default: IDENTITY in the tool's frame, else MIN_MAX of STATE and ACTION.
     normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
     # Learning rate of AdamW (fast 0.001, diffusion 0.001, dp3 0.0001, paper 0.0001).
@@ -210,14 +193,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         for name in OPTIONS:
             given = getattr(self, name)
             if given is not None and (name not in values or (name in FIXED and given != values[name])):
-                others = [preset for preset, used in PRESETS.items() if name in used and name not in FIXED]
-                others = others or [preset for preset, used in PRESETS.items() if used[name] == given]
-                raise self._error(
-                    f"The preset {self.preset} does not use this option or value.",
-                    (name,),
-                    f"{name} with preset={' or '.join(others) or self.preset}",
-                    f"--policy.preset={(others or [self.preset])[0]}, or without --policy.{name}",
-                )
+                raise self._foreign(name, given)
             if given is None:
                 setattr(self, name, values.get(name))
         self.values_from = self.preset
@@ -226,29 +202,37 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             none = NormalizationMode.IDENTITY
             self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
 
+    def _foreign(self, name: str, given: Any) -> ConfigurationError:
+        """Returns the error for an option or value of another preset."""
+        others = [each for each, used in PRESETS.items() if name in used and (name not in FIXED or used[name] == given)]
+        others = others or [self.preset]
+        return self._error(
+            f"The preset {self.preset} does not use this option or value.",
+            (name,),
+            f"{name} with preset={' or '.join(others)}",
+            f"--policy.preset={others[0]}, or without --policy.{name}",
+        )
+
     def _check_sizes(self) -> None:
         fits = all(getattr(self, name) >= 1 for name in COUNTS if self.uses(name)) and len(self.encoder_dims) > 0
         fits = fits and (self.num_refinements or 0) >= 0
-        steps = "num_inference_steps <= num_train_timesteps"
         if self.head == "diffusion":
-            widths = tuple(self.down_dims)
+            widths = tuple(self.down_dims or ())
             fits = fits and all(width > 0 and width % self.n_groups == 0 for width in widths) and len(widths) > 0
             fits = fits and self.kernel_size % 2 == 1 and self.num_inference_steps <= self.num_train_timesteps
-            steps += f"={self.num_train_timesteps}"
         if not fits:
             raise self._error(
                 "Sizes do not fit.",
                 tuple(name for name in SIZES if self.uses(name)),
                 f"down_dims that n_groups divides, an odd kernel_size, some encoder_dims, {', '.join(COUNTS)} >= 1, "
-                f"num_refinements >= 0, {steps}",
+                f"num_refinements >= 0, num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
                 f"--policy.preset={self.preset}, and none of these",
             )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
-            hint = "--policy.augmentation_mirror=0.5"
-            raise self._error("Not a share of scenes.", ("augmentation_mirror",), "0 to 1", hint)
+            raise self._error("Not a share of scenes.", ("augmentation_mirror",), "0 to 1", "a share of 0.5")
 
     def _check_horizon(self) -> None:
-        factor = 2 ** (len(self.down_dims) - 1) if self.head == "diffusion" else 1
+        factor = 2 ** (len(self.down_dims or ()) - 1) if self.head == "diffusion" else 1
         fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
         if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
             raise self._error(
