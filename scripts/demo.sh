@@ -40,7 +40,7 @@ fi
 say "4/5  Evaluating on scenes it has not seen, with lerobot-eval"
 rm -rf "$out/eval" "$out/eval.jsonl"
 "$bin/lerobot-eval" --policy.path="$checkpoint/pretrained_model" --policy.device=cpu \
-    --env.type=adamanip_safe --env.objects="$safes" --env.split=test \
+    --env.type=adamanip_safe --env.objects="$safes" --env.split=validation \
     --env.observe_images=false --env.episode_log="$out/eval.jsonl" \
     --eval.n_episodes="$evaluate" --eval.batch_size=2 --output_dir="$out/eval"
 

@@ -17,9 +17,10 @@ from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
-BLOCKED_SHARE = 0.3
+FORGET = True
+BLOCKED_SHARE = 0.5
 """A motion of which a smaller share was done has failed; one that was done in part may go on."""
-SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.7
+SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
 
 
@@ -60,7 +61,7 @@ class ContactMemory(nn.Module):
         return state
 
 
-def repeats_failure(commands: Tensor, poses: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
+def repeats_failure(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
     """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, (B, K) bool.
 
     An event failed if less than `BLOCKED_SHARE` of its motion was done, or if the hand lost its grip. It counts until a
@@ -71,7 +72,10 @@ def repeats_failure(commands: Tensor, poses: Tensor, contact: Tensor, motions: T
     sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
     lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
     failed = contact & (lost | (undone.norm(dim=-1) > (1 - BLOCKED_SHARE) * sent.norm(dim=-1)))
-    moved_later = (contact & ~failed).flip(1).cumsum(dim=1).flip(1) > 0
+    over = contact & ~failed
+    if FORGET:
+        over = over | (valid & (commands[..., GRIPPER_DIM] >= CLOSED))
+    moved_later = over.flip(1).cumsum(dim=1).flip(1) > 0
     near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
     past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
     cosine = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1)

@@ -15,25 +15,36 @@ from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, motion_betwe
 
 MIN_SPREAD = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02, 0.02)
 """Lower bound of a cluster's spread [m, m, m, rad, rad, rad, -]."""
+STARTS = 8
+"""Number of k-means' starts."""
+MAX_ROWS = 10_000
+"""Number of motions that are searched for centres, at regular intervals of all."""
 MAX_SPREADS, MAX_FAR_SHARE = 3.0, 0.1
 """A motion is far if every anchor is more than `MAX_SPREADS` spreads away; a share of far motions above `MAX_FAR_SHARE`
 warns. Of the data that anchors were fitted to, 0.5 % are far; of other data of the same category, 3 %."""
 
 
-def cluster_motions(motions: NDArray[np.float32], count: int, *, seed: int = 0) -> tuple[Tensor, Tensor]:
-    """Clusters motions (M, 7) by k-means in `MOTION_UNITS`.
+def cluster_motions(motions: NDArray[np.float32], count: int) -> tuple[Tensor, Tensor]:
+    """Clusters motions (M, 7) by k-means in `MOTION_UNITS`, the best of `STARTS` starts.
+
+    With a bad start most clusters are approaches, and few are left for motions in contact.
 
     Returns:
         centres (count, 7) [m, rad, -] and spreads (count, 7), at least `MIN_SPREAD`. If there are fewer distinct
         motions than ``count``, some are repeated.
     """
-    from scipy.cluster.vq import kmeans2
+    from scipy.cluster.vq import kmeans2, vq
 
     units = np.asarray(MOTION_UNITS)
     rows = motions.astype(np.float64) / units
     different = np.unique(rows.round(4), axis=0)
-    starts = different if len(different) <= count else count
-    centres, labels = kmeans2(rows, starts, minit="matrix" if starts is different else "++", iter=50, seed=seed)
+    if len(different) <= count:
+        centres = different
+    else:
+        some = rows[:: -(-len(rows) // MAX_ROWS)]
+        found = [kmeans2(some, count, minit="++", iter=50, seed=seed)[0] for seed in range(STARTS)]
+        centres = min(found, key=lambda centres: np.square(vq(some, centres)[1]).mean())
+    labels, _ = vq(rows, centres)
     clusters = range(len(centres))
     spread = np.stack([rows[labels == k].std(axis=0) if (labels == k).any() else 0 * units for k in clusters])
     spread = np.maximum(spread * units, np.asarray(MIN_SPREAD))

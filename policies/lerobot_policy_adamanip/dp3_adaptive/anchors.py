@@ -14,6 +14,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from lerobot_adamanip.contract.schema import ACTION_DIM, STATE
+from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import ContactMemory
 from lerobot_policy_adamanip.common.encoders import make_encoder
@@ -130,10 +131,11 @@ class AnchorHead:
             logits = logits + added.float()
             if self.config.avoid_repeats:
                 rejected = rejected | past.repeats(drawn)
+        opens = motions.anchors[:, -1] >= CLOSED
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
         result, done = None, torch.zeros_like(rejected[:, 0])
         for number in range(self.config.num_draws):
-            index = _draw(logits.softmax(dim=-1), rejected, noises[:, number], self.config.min_probability)
+            index = _draw(logits.softmax(dim=-1), rejected, opens, noises[:, number], self.config.min_probability)
             motion = drawn[rows, index]
             pose = tool_frame.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
             pose, usable = refine(self.config, model.refiner, motions.needs_refinement(index), window, pose)
@@ -154,15 +156,17 @@ class AnchorHead:
         return torch.cat([given, noises[:, given.shape[1] :]], dim=1)
 
 
-def _draw(probabilities: Tensor, rejected: Tensor, noise: Tensor, least: float) -> Tensor:
+def _draw(probabilities: Tensor, rejected: Tensor, opens: Tensor, noise: Tensor, least: float) -> Tensor:
     """Draws indices (B,) from probabilities (B, K) by uniform noise (B,), neither rejected nor unlikely.
 
-    Rejected ones (B, K) are drawn only if all others together are less probable than ``least``: what is never done in a
-    state is not better than what has failed. Unlikely ones are below ``least``.
+    If the others than the rejected ones (B, K) are together less probable than ``least``, the hand lets go: one of
+    those that open it, (K,) bool, is drawn. Unlikely ones are below ``least``.
     """
     allowed = probabilities.masked_fill(rejected, 0.0)
-    total = allowed.sum(dim=-1, keepdim=True)
-    probabilities = torch.where(total < least, probabilities, allowed / total.clamp(min=least))
+    released = allowed * opens
+    allowed = torch.where(allowed.sum(dim=-1, keepdim=True) < least, released, allowed)
+    allowed = torch.where(allowed.sum(dim=-1, keepdim=True) > 0.0, allowed, probabilities)
+    probabilities = allowed / allowed.sum(dim=-1, keepdim=True)
     unlikely = (probabilities < least) & (probabilities < probabilities.amax(dim=-1, keepdim=True))
     cumulative = probabilities.masked_fill(unlikely, 0.0).cumsum(dim=-1)
     draw = noise[:, None].to(cumulative.dtype) * cumulative[:, -1:]

@@ -12,19 +12,8 @@ from lerobot.optim.schedulers import DiffuserSchedulerConfig
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.presets import FIXED, OPTIONS, PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.presets import CHOICES, COUNTS, FIXED, OPTIONS, PRESETS
 
-CHOICES = {
-    "encoder": ("mlp", "pointnet2"),
-    "proprioception": ("pose", "full"),
-    "noise_scheduler_type": ("DDPM", "DDIM"),
-    "prediction_type": ("epsilon", "sample"),
-}
-COUNTS = (
-    "num_points", "num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points",
-    "num_draws", "num_inference_steps",
-)  # fmt: skip
-"""Options that are at least 1."""
 SIZES = (*COUNTS, "down_dims", "n_groups", "kernel_size", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
@@ -46,6 +35,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     preset: str = "fast"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
+    # Not used: checkpoints before 0.3 have it and are refused.
+    tcp_relative: bool | None = None
 
     # Set by the preset, not to be changed: what draws actions, anchors (typical motions, refined) or diffusion, the
     # paper's (fast anchors, diffusion diffusion, dp3 diffusion, paper diffusion).
@@ -169,6 +160,13 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     def check(self) -> None:
         """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
+        if self.tcp_relative is not None:
+            raise self._error(
+                "This is an option or a checkpoint of a version before 0.3, whose networks differ.",
+                ("tcp_relative",),
+                "checkpoints that this version has trained",
+                "train again with this version, or install lerobot_env_adamanip 0.2 for this checkpoint",
+            )
         self._take_preset()
         for name, choices in CHOICES.items():
             if self.uses(name):

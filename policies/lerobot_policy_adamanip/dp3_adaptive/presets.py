@@ -66,3 +66,14 @@ OPTIONS = {name for preset in PRESETS.values() for name in preset}
 """Options that have a value by preset."""
 FIXED = ("head", "frame")
 """Options that a preset is made for; their values cannot be changed."""
+CHOICES = {
+    "encoder": ("mlp", "pointnet2"),
+    "proprioception": ("pose", "full"),
+    "noise_scheduler_type": ("DDPM", "DDIM"),
+    "prediction_type": ("epsilon", "sample"),
+}
+COUNTS = (
+    "num_points", "num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points",
+    "num_draws", "num_inference_steps",
+)  # fmt: skip
+"""Options that are at least 1."""

@@ -45,7 +45,7 @@ class Past:
 
     def repeats(self, motions: Tensor) -> Tensor:
         """Returns which motions (B, K, 7) would repeat a failure, (B, K)."""
-        return repeats_failure(self.commands, self.poses, self.contact, motions)
+        return repeats_failure(self.commands, self.poses, self.valid, self.contact, motions)
 
 
 def past_of(window: Window) -> Past:
