@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Callable
 from dataclasses import asdict
 from pathlib import Path
@@ -22,7 +23,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_policy_adamanip import AdaAffordConfig, DP3AdaptiveConfig, SamplingConfig, VatMartConfig
 from lerobot_policy_adamanip.common.config import FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.presets import FIXED, OPTIONS, PRESETS
 
 Refuses = Callable[[type[AdaManipError], Callable[[], Any]], str]
 CONFIGS: tuple[Any, ...] = (VatMartConfig, SamplingConfig, AdaAffordConfig, DP3AdaptiveConfig)
@@ -32,19 +33,23 @@ DP3_TINY: dict[str, Any] = {
     "num_points": 120, "encoder_dims": (16,), "preset": "fast", "device": "cpu", "push_to_hub": False,
 }  # fmt: skip
 MEAN_STD = {"STATE": NormalizationMode.MEAN_STD, "ACTION": NormalizationMode.IDENTITY}
+WRONG_UNET: list[dict[str, Any]] = [
+    {"horizon": 3}, {"horizon": 0}, {"n_action_steps": 5}, {"down_dims": (32, 32, 64, 64)}, {"down_dims": (30, 64)},
+    {"down_dims": ()}, {"kernel_size": 4}, {"num_inference_steps": 101}, {"num_inference_steps": 0},
+]  # fmt: skip
 WRONG: dict[str, list[dict[str, Any]]] = {
     "affordance": [
         {"num_points": 0}, {"feature_dim": 0}, {"patch_radius": 0.0}, {"encoder_dims": ()}, {"context_points": 121},
         {"n_obs_steps": 2}, {"normalization_mapping": MEAN_STD},
     ],
     "dp3_adaptive": [
-        {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"kernel_size": 4}, {"down_dims": ()},
-        {"down_dims": (30, 64)}, {"num_points": 0}, {"encoder_dims": ()}, {"num_inference_steps": 101},
-        {"num_inference_steps": 0}, {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
-        {"horizon": 3, "preset": "diffusion"}, {"horizon": 0, "preset": "diffusion"},
-        {"n_action_steps": 5, "preset": "diffusion"},
-        {"down_dims": (32, 32, 64, 64), "preset": "diffusion"},
-        *({name: "nonsense"} for name in ("preset", "encoder", "proprioception", "noise_scheduler_type")),
+        {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
+        {"num_draws": 0}, {"num_refinements": -1},
+        {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
+        {"n_obs_steps": 2, "preset": "diffusion"},
+        *({name: "nonsense"} for name in ("preset", "encoder", "head", "frame")),
+        *({name: "nonsense", "preset": "dp3"} for name in ("proprioception", "noise_scheduler_type")),
+        *({**wrong, "preset": preset} for preset in ("diffusion", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip
 WRONG_FEATURES: list[tuple[dict[str, Any], str]] = [
@@ -83,8 +88,8 @@ def test_every_option_is_explained_and_names_its_presets(kind: Any) -> None:
     for name in ours & {item.name for item in dataclasses.fields(kind)}:
         told = " ".join(get_preferred_help_text(get_attribute_docstring(kind, name)).split())
         assert told.endswith((".", "...")), name
-        if kind is DP3AdaptiveConfig and name in PRESETS["fast"]:
-            values = {preset: PRESETS[preset][name] for preset in PRESETS}
+        if kind is DP3AdaptiveConfig and name in OPTIONS:
+            values = {preset: used[name] for preset, used in PRESETS.items() if name in used}
             shown = [
                 f"{key} {' '.join(map(str, value)) if isinstance(value, tuple) else value}"
                 for key, value in values.items()
@@ -106,6 +111,7 @@ def test_features_that_it_cannot_use_are_refused(refuses: Refuses, method: str) 
         if method == "dp3_adaptive" and "action" in wrong:
             check = lambda config=config: get_policy_class(method)(config)  # noqa: E731
         message = refuses(AdaManipError, check)
+        assert "preset=diffusion" not in message  # which is of no more use
         assert told in message
         assert method in message or "points" in message
 
@@ -152,9 +158,21 @@ def test_clouds_of_too_few_points_name_the_option_that_helps(refuses: Refuses, t
 def test_a_preset_fills_what_was_left_open_and_nothing_else(preset: str) -> None:
     given: dict[str, Any] = {"num_points": 77, "optimizer_lr": 3e-3, "n_action_history_steps": 0}
     config = DP3AdaptiveConfig(preset=preset, device="cpu", **given)
-    assert PRESETS["fast"].keys() == PRESETS[preset].keys()
-    for name, value in PRESETS[preset].items():
-        assert getattr(config, name) == given.get(name, value), name
+    for name in OPTIONS:
+        assert getattr(config, name) == given.get(name, PRESETS[preset].get(name)), name
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_a_preset_refuses_what_it_does_not_use_and_names_one_that_does(refuses: Refuses, preset: str) -> None:
+    values = {name: value for used in PRESETS.values() for name, value in used.items()}
+    fixed = {(name, used[name]) for name in FIXED for used in PRESETS.values()}
+    unused = {(name, values[name]) for name in OPTIONS - PRESETS[preset].keys()} | fixed - PRESETS[preset].items()
+    for name, value in unused:
+        make = functools.partial(DP3AdaptiveConfig, device="cpu", **{name: value})
+        message = refuses(AdaManipError, functools.partial(make, preset=preset))
+        assert f"--policy.{name}" in message
+        other = message.rpartition("--policy.preset=")[2].partition(",")[0]
+        assert getattr(make(preset=other), name) == value
 
 
 def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
@@ -168,12 +186,7 @@ def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
-    options: dict[str, Any] = {
-        "head": "diffusion",
-        "horizon": 8,
-        "encoder_dims": (8, 16),
-        "optimizer_betas": (0.8, 0.9),
-    }
+    options: dict[str, Any] = {"encoder_dims": (8, 16), "optimizer_betas": (0.8, 0.9)}
     config = DP3AdaptiveConfig(preset=preset, num_points=77, use_effort=True, device="cpu", tags=["a"], **options)
     shapes = {schema.POINT_CLOUD: (77, 3), schema.STATE: (24,), schema.EFFORT: (7,)}
     config.input_features = {key: PolicyFeature(FeatureType.STATE, shape) for key, shape in shapes.items()}
@@ -184,8 +197,8 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
     loaded = PreTrainedConfig.from_pretrained(tmp_path)
     assert isinstance(loaded, DP3AdaptiveConfig)
     assert loaded == config
-    changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--num_inference_steps=7"])
-    assert (changed.num_inference_steps, changed.num_points) == (7, 77)
+    changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--encoder_out_dim=7"])
+    assert (changed.encoder_out_dim, changed.num_points) == (7, 77)
     other = next(name for name in PRESETS if name != preset)
     with pytest.raises(AdaManipError, match=rf"(?s)checkpoint's preset cannot be changed.*preset={other}"):
         PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=[f"--preset={other}"])
@@ -193,10 +206,11 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
 
 def test_tool_frames_are_refused_where_they_cannot_be_computed() -> None:
     mapping = dict.fromkeys(("STATE", "ACTION"), NormalizationMode.MEAN_STD)
-    options: dict[str, Any] = {"preset": "diffusion", "device": "cpu", "normalization_mapping": mapping}
-    with pytest.raises(AdaManipError, match="tcp_relative"):
-        DP3AdaptiveConfig(**options)
-    assert DP3AdaptiveConfig(**options, tcp_relative=False).tcp_relative is False
+    options: dict[str, Any] = {"device": "cpu", "normalization_mapping": mapping}
+    for preset in ("fast", "diffusion"):
+        with pytest.raises(AdaManipError, match=r"(?s)tool's frame.*IDENTITY.*preset=dp3"):
+            DP3AdaptiveConfig(preset=preset, **options)
+    assert DP3AdaptiveConfig(preset="dp3", **options).normalization_mapping == mapping
 
 
 # Optimizer -----------------------------------------------------------------------------------------------------------
