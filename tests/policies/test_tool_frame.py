@@ -8,14 +8,16 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
-from lerobot_policy_adamanip.common.events import EventMemory, events
+from lerobot_policy_adamanip.common.events import events
 from lerobot_policy_adamanip.common.tool_frame import (
+    absolute_poses,
     constant,
     mirrored_motions,
     mirrored_poses,
     motion_between,
     points_seen,
     pose_after,
+    relative_poses,
     upwards,
 )
 from lerobot_policy_adamanip.common.torch_rotations import (
@@ -64,6 +66,8 @@ def test_a_motion_leads_where_it_was_seen_to_lead() -> None:
     assert torch.equal(both[0], motion)
     torch.testing.assert_close(both[1, :, :6], torch.zeros(60, 6), rtol=0, atol=1e-3)  # staying is no motion
     torch.testing.assert_close(pose_after(motion, tool), goal, rtol=0, atol=2e-4)
+    torch.testing.assert_close(absolute_poses(relative_poses(goal, tool), tool), goal, rtol=0, atol=1e-5)
+    torch.testing.assert_close(relative_poses(goal, tool)[:, :3], motion[:, :3])
     distance = (goal[:, :3] - tool[:, :3]).norm(dim=-1)
     torch.testing.assert_close(motion[:, :3].norm(dim=-1), distance, rtol=0, atol=1e-5)
 
@@ -109,16 +113,6 @@ def test_what_was_before_the_start_leaves_no_trace() -> None:
     other_poses[:, :2] += 1.0
     other_commands[:, :2] -= 1.0
     assert torch.equal(events(other_commands, other_poses, valid), told)
-    memory = EventMemory(8)
-    assert torch.equal(memory(events(other_commands, other_poses, valid)), memory(told))
-
-
-def test_the_order_of_events_is_remembered() -> None:
-    torch.manual_seed(0)
-    poses, commands = _poses(4, 12)[None], _poses(3, 13)[None]
-    told = events(commands, poses, torch.ones(1, 3, dtype=torch.bool))
-    memory = EventMemory(8)
-    assert not torch.allclose(memory(told), memory(told.flip(1)), atol=1e-4)
 
 
 def test_a_constant_made_at_run_time_can_be_trained_with() -> None:

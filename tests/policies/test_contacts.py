@@ -1,0 +1,117 @@
+"""What a policy remembers of its tries: contact events alone, and failures until something has moved."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch import Tensor
+
+from lerobot_policy_adamanip.common.contacts import BLOCKED_SHARE, ContactMemory, contact_events, repeats_failure
+from lerobot_policy_adamanip.common.events import EVENT_DIM
+from lerobot_policy_adamanip.common.tool_frame import fingers_swapped, motion_between, pose_after
+
+HOLDING, EMPTY = 0.2, 0.0
+AT_REST = torch.tensor([0.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, HOLDING])
+"""A closed hand that holds something."""
+PULL = torch.tensor([-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+PUSH = torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
+TURN = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0])
+OPEN = torch.tensor([0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0])
+Step = tuple[Tensor, float]
+Played = tuple[Tensor, Tensor, Tensor]
+
+
+def played(*steps: Step, opening: float = HOLDING) -> Played:
+    """Returns commands (1, H, 10), poses (1, H + 1, 10) and validity of motions, each followed by a share of it.
+
+    The first is the key frame in which the hand closed.
+    """
+    poses = [torch.cat([AT_REST[:9], torch.tensor([opening])])] * 2
+    commands = [AT_REST]
+    for motion, share in steps:
+        commands.append(pose_after(motion, poses[-1]))
+        done = pose_after(torch.cat([motion[:6] * share, motion[6:]]), poses[-1])
+        poses.append(torch.cat([done[:9], motion[6:].clamp(min=opening)]))
+    return torch.stack(commands)[None], torch.stack(poses)[None], torch.ones(1, len(commands), dtype=torch.bool)
+
+
+def repeats(past: Played, *motions: Tensor) -> list[bool]:
+    """Returns whether motions would repeat a failure of the past."""
+    commands, poses, _ = past
+    return repeats_failure(commands, poses, contact_events(*past), torch.stack(motions)[None])[0].tolist()
+
+
+# Contact events -----------------------------------------------------------------------------------------------------
+
+
+def test_only_motions_of_a_closed_hand_are_contact_events() -> None:
+    past = played((PULL, 0.0), (0.1 * PULL, 1.0), (TURN, 1.0), (OPEN, 1.0), (PULL + OPEN, 1.0), (TURN, 0.0))
+    assert contact_events(*past)[0].tolist() == [False, True, False, True, False, False, False]
+    assert not contact_events(*past[:2], torch.zeros_like(past[2])).any()
+
+
+def test_a_closed_hand_that_holds_nothing_can_only_push() -> None:
+    past = played((PULL, 1.0), (TURN, 1.0), (PUSH, 0.0), (-PUSH, 1.0), (0.3 * PUSH, 0.0), opening=EMPTY)
+    assert contact_events(*past)[0].tolist() == [False, False, False, True, False, False]
+
+
+def test_what_is_no_contact_event_leaves_no_trace_in_the_memory() -> None:
+    memory, happened = ContactMemory(8), torch.randn(2, 6, EVENT_DIM)
+    contact = torch.tensor([[0, 1, 0, 1, 0, 0], [0, 0, 0, 0, 0, 0]], dtype=torch.bool)
+    other = torch.where(contact[..., None], happened, torch.randn_like(happened))
+    assert torch.equal(memory(happened, contact), memory(other, contact))
+    assert not memory(happened, contact)[1].any()
+    assert memory(happened, contact)[0].all()
+
+
+def test_the_order_of_contact_events_is_remembered() -> None:
+    memory, happened, contact = ContactMemory(8), torch.randn(1, 4, EVENT_DIM), torch.tensor([[1, 0, 1, 1]]).bool()
+    alone, every = happened[:, [0, 2, 3]], torch.ones(1, 3, dtype=torch.bool)
+    torch.testing.assert_close(memory(happened, contact), memory(alone, every))
+    assert not torch.allclose(memory(alone.flip(1), every), memory(alone, every), atol=1e-4)
+
+
+# Failures -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("steps", "wanted"),
+    [
+        ([], [False, False, False, False]),
+        ([(PULL, 0.0)], [True, False, False, False]),
+        ([(PULL, 1.0)], [False, False, False, False]),
+        ([(PULL, 0.1), (TURN, 0.1)], [True, True, False, False]),
+        ([(PULL, 0.0), (TURN, 1.0)], [False, False, False, False]),  # the turn has moved something
+        ([(TURN, 1.0), (TURN, 0.1)], [False, True, False, False]),  # it went so far, and no further
+        ([(PULL, 0.0), (OPEN, 0.0)], [True, False, False, False]),  # a release is no motion of a part
+        ([(PULL, BLOCKED_SHARE - 0.02)], [True, False, False, False]),
+        ([(PULL, BLOCKED_SHARE + 0.02)], [False, False, False, False]),  # done in part: may go on
+    ],
+)
+def test_failures_are_not_repeated_until_something_has_moved(steps: list[Step], wanted: list[bool]) -> None:
+    assert repeats(played(*steps), PULL, TURN, -TURN, OPEN) == wanted
+
+
+def test_a_failure_is_the_same_whichever_way_round_the_part_is_held() -> None:
+    """Seen from a hand that was turned half way about its approach, the same motion has another sign."""
+    commands, poses, valid = played((PULL, 0.0), (TURN, 0.0))
+    goals = [pose_after(motion, poses[0, -1]) for motion in (PULL, -PULL)]
+    poses[:, -1] = fingers_swapped(poses[:, -1])
+    pull, back = (torch.cat([motion_between(goal, poses[0, -1])[:3], torch.zeros(4)]) for goal in goals)
+    torch.testing.assert_close(pull, -PULL, rtol=0, atol=1e-6)
+    assert repeats((commands, poses, valid), pull, back, TURN, -TURN) == [True, False, True, False]
+
+
+def test_a_lost_grip_is_a_failure_however_far_the_hand_went() -> None:
+    commands, poses, valid = played((TURN, 1.0))
+    poses[:, -1, 9] = EMPTY
+    assert repeats((commands, poses, valid), TURN, -TURN) == [True, False]
+    earlier = played((PULL, 0.0), (TURN, 1.0))
+    earlier[1][:, -1, 9] = EMPTY
+    assert repeats(earlier, PULL, TURN) == [True, True]  # nothing has moved since the pull
+
+
+def test_a_failure_elsewhere_forbids_nothing() -> None:
+    commands, poses, valid = played((PULL, 0.0))
+    poses[:, -1, 0] += 0.1
+    assert repeats((commands, poses, valid), PULL) == [False]
