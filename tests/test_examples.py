@@ -82,8 +82,6 @@ def test_a_policy_is_evaluated(tmp_path: Path, run: Run) -> None:
         num_points=64,
         encoder_dims=(16, 24),
         encoder_out_dim=16,
-        down_dims=(32, 64),
-        num_inference_steps=2,
         device="cpu",
         input_features={
             schema.POINT_CLOUD: PolicyFeature(FeatureType.ENV, (64, 3)),

@@ -12,19 +12,24 @@ from toy_demos import REPO_ID, TINY, record_toy, toy_world
 
 from lerobot_adamanip.contract import schema
 
-DP3_TINY: dict[str, Any] = {
-    "preset": "diffusion", "num_points": 32, "encoder_dims": (16, 24), "encoder_out_dim": 16, "down_dims": (32, 64),
-    "n_groups": 8, "diffusion_step_embed_dim": 16, "num_train_timesteps": 10, "num_inference_steps": 2,
-    "device": "cpu", "push_to_hub": False,
+COMMON_TINY: dict[str, Any] = {
+    "num_points": 48, "encoder_dims": (16, 24), "encoder_out_dim": 16, "device": "cpu", "push_to_hub": False,
 }  # fmt: skip
-HEADS: dict[str, dict[str, Any]] = {
-    "diffusion": {"preset": "diffusion", "history_noise_std": 0.0},
-    "anchors": {
-        "preset": "fast", "num_anchors": 6, "memory_dim": 16, "trunk_dim": 32, "n_action_history_steps": 4,
-        "training_points": 24, "coarse_points": 32, "num_points": 48, "refinement_points": 16, "num_refinements": 2,
-    },
+TOOL_TINY: dict[str, Any] = {
+    **COMMON_TINY, "num_anchors": 6, "memory_dim": 16, "n_action_history_steps": 4, "training_points": 24,
+    "coarse_points": 32, "refinement_points": 16, "num_refinements": 2,
 }  # fmt: skip
-"""Tiny options of each head of ``dp3_adaptive``."""
+UNET_TINY: dict[str, Any] = {
+    "down_dims": (32, 64), "diffusion_step_embed_dim": 16, "num_train_timesteps": 10, "num_inference_steps": 2,
+}  # fmt: skip
+BASE_TINY: dict[str, Any] = {**COMMON_TINY, **UNET_TINY, "num_points": 32}
+DP3_TINY: dict[str, dict[str, Any]] = {
+    "fast": {**TOOL_TINY, "trunk_dim": 32},
+    "diffusion": {**TOOL_TINY, **UNET_TINY},
+    "dp3": {**BASE_TINY, "n_obs_steps": 1, "n_action_history_steps": 8, "n_action_steps": 1},
+    "paper": BASE_TINY,
+}
+"""Tiny options of each preset of ``dp3_adaptive``."""
 
 
 @pytest.fixture(scope="session")
@@ -53,8 +58,9 @@ def build_policy(
 
     import lerobot_policy_adamanip  # noqa: F401  (registers them)
 
-    sizes = DP3_TINY if policy_type == "dp3_adaptive" else TINY
-    config = make_policy_config(policy_type, **{**sizes, **changes})
+    preset = {"preset": "dp3", **changes} if policy_type == "dp3_adaptive" else changes
+    sizes = DP3_TINY[preset["preset"]] if policy_type == "dp3_adaptive" else TINY
+    config = make_policy_config(policy_type, **{**sizes, **preset})
     stamps = resolve_delta_timestamps(config, LeRobotDatasetMetadata(REPO_ID, root=root))
     dataset = LeRobotDataset(REPO_ID, root=root, episodes=episodes, delta_timestamps=stamps)
     policy = make_policy(config, ds_meta=dataset.meta)
@@ -70,19 +76,14 @@ def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
 
 @pytest.fixture
 def make_tiny(adaptive_toy_root: Path) -> Callable[..., tuple[Any, ...]]:
-    """As `make_toy_policy`, a ``dp3_adaptive`` from the adaptive demonstrations."""
+    """As `make_toy_policy`, a ``dp3_adaptive`` from the adaptive demonstrations; of the preset dp3 if none is named."""
     return lambda **changes: build_policy("dp3_adaptive", adaptive_toy_root, **changes)
-
-
-@pytest.fixture
-def heads() -> dict[str, dict[str, Any]]:
-    return HEADS
 
 
 @pytest.fixture
 def make_anchors(make_tiny: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
     """As `make_tiny`, with the head ``anchors``."""
-    return lambda **changes: make_tiny(**{**HEADS["anchors"], **changes})
+    return lambda **changes: make_tiny(preset="fast", **changes)
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 
 
 @pytest.mark.skipif(not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="this CPU does not run bfloat16")
-@pytest.mark.parametrize("head", ["anchors", "diffusion"])
+@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
 def test_a_policy_trains_and_acts_in_half_precision(
-    make_tiny: MakeTiny, heads: dict[str, Any], batch_of: Any, observation_of: Any, head: str
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str
 ) -> None:
-    policy, before, _, dataset = make_tiny(**heads[head], use_amp=True)
+    policy, before, _, dataset = make_tiny(preset=preset, use_amp=True)
     with torch.autocast("cpu", torch.bfloat16):
         loss, _ = policy.forward(batch_of(dataset, before))
         loss.backward()

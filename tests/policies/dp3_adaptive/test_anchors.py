@@ -9,14 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
 from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions
 from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
 from lerobot_policy_adamanip.dp3_adaptive import anchors
-from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import past_of
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -50,12 +49,12 @@ def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: Ma
     window, actions, real = policy.training_window(batch_of(dataset, before, 2, 11))
     motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
     unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
-    nearest = ((motion[:, None] - policy.model.anchors) * unit).square().sum(-1).argmin(1)
+    nearest = ((motion[:, None] - policy.model.motions.anchors) * unit).square().sum(-1).argmin(1)
     logits = torch.full((2, 6), -50.0).scatter(1, nearest[:, None], 50.0)
     residuals = torch.zeros(2, 6, 7)
     rows = torch.arange(2)
-    residuals[rows, nearest] = (motion - policy.model.anchors[nearest]) / policy.model.spread[nearest]
-    policy.head.predict = lambda *_, **__: (logits, residuals)
+    residuals[rows, nearest] = (motion - policy.model.motions.anchors[nearest]) / policy.model.motions.spread[nearest]
+    policy.head.predict = lambda *_: (logits, residuals, None, None)
     loss, _, _ = policy.head.loss(policy.model, window, actions, real)
     torch.testing.assert_close(loss, torch.zeros(2), rtol=0, atol=1e-6)
     drawn = policy.head.sample(policy.model, window, None)
@@ -74,7 +73,7 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
     frame = matrix_from_rotation_6d(state[0, 3:9].numpy())
     motions = np.concatenate([rows, rows])
     motions[0, :3], motions[1, :3] = 0.03 * frame[2], -0.03 * frame[2]
-    policy.fit_anchors(np.repeat(motions, 10, axis=0))
+    policy.fit_anchors(torch.from_numpy(np.repeat(motions, 10, axis=0)), state[:20, 9])
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(60):
         optimizer.zero_grad()
@@ -91,12 +90,13 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
 def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
     window, *_ = policy.training_window(batch_of(dataset, before, *[3] * 50))
+    policy.model.motions.from_empty[:] = True
     likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0])
-    policy.head.predict = lambda *_, **__: (likely.log().expand(50, 6), torch.zeros(50, 6, 7))
+    policy.head.predict = lambda *_: (likely.log().expand(50, 6), torch.zeros(50, 6, 7), None, None)
     noise = torch.linspace(0, 1 - 1e-6, 50)
     drawn = policy.head.sample(policy.model, window, noise)[:, 0]
     state = window.observations[schema.STATE][:1, -1, :10]
-    known = [pose_after(policy.model.anchors[index : index + 1], state) for index in (0, 2)]
+    known = [pose_after(policy.model.motions.anchors[index : index + 1], state) for index in (0, 2)]
     which = [int(torch.allclose(row, known[1][0], atol=1e-5)) for row in drawn]
     assert all(torch.allclose(row, known[pick][0], atol=1e-5) for row, pick in zip(drawn, which, strict=True))
     assert which == sorted(which)
@@ -106,43 +106,18 @@ def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) 
 # What it looks at ---------------------------------------------------------------------------------------------------
 
 
-def test_the_action_moves_with_the_scene(make_anchors: MakeTiny, observation_of: Any) -> None:
-    """Wherever the robot stands about the vertical, the same scene is met by the same motion."""
-    policy, before, _, dataset = make_anchors()
-    policy.eval()
-    observation = observation_of(dataset, before, 5)
-    turn, shift = Rotation.from_euler("z", 1.1), np.array([0.3, -0.5, 0.2])
-
-    def poses(rows: torch.Tensor) -> torch.Tensor:
-        moved = rows.clone().double()
-        moved[..., :3] = torch.from_numpy(turn.apply(rows[..., :3].numpy()) + shift)
-        matrices = turn.as_matrix() @ matrix_from_rotation_6d(rows[..., 3:9].numpy())
-        moved[..., 3:9] = torch.from_numpy(rotation_6d_from_matrix(matrices))
-        return moved.float()
-
-    cloud = turn.apply(observation[schema.POINT_CLOUD].reshape(-1, 3).numpy()) + shift
-    moved = {
-        **observation,
-        schema.POINT_CLOUD: torch.from_numpy(cloud).float().reshape(observation[schema.POINT_CLOUD].shape),
-        schema.STATE: poses(observation[schema.STATE]),
-    }
-    noise = torch.tensor([[0.37]])
-    here = [policy.select_action(observation, noise=noise) for _ in range(3)]
-    policy.reset()
-    there = [policy.select_action(moved, noise=noise) for _ in range(3)]
-    for one, other in zip(here, there, strict=True):
-        torch.testing.assert_close(other, poses(one), rtol=0, atol=2e-3)
-
-
 class Spy:
-    """Records what the network is given."""
+    """Records what the network is given: points and body, then features, events and contacts for its memory."""
 
     def __init__(self, policy: Any) -> None:
         self.seen: list[list[torch.Tensor]] = []
         for model in (policy.model, policy.ema_model):
-            model.register_forward_hook(
-                lambda _, given, __: self.seen.append([part.detach().clone() for part in given])
-            )
+            model.register_forward_hook(lambda _, given, __: self.seen.append(_copied(given)))
+            model.memory.register_forward_hook(lambda _, given, __: self.seen[-1].extend(_copied(given)))
+
+
+def _copied(given: tuple[torch.Tensor, ...]) -> list[torch.Tensor]:
+    return [part.detach().clone() for part in given]
 
 
 def test_training_and_run_time_see_the_same(make_anchors: MakeTiny, batch_of: Any, observation_of: Any) -> None:
@@ -172,141 +147,139 @@ def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: 
         policy.head.loss(policy.model, replace(window, history=history), labels, real)
     first, second = spy.seen
     assert all(torch.equal(one, other) for one, other in zip(first, second, strict=True))
-    assert not first[2].any()
+    assert not first[3].any()
+    assert not first[4].any()
+
+
+# What it remembers --------------------------------------------------------------------------------------------------
+
+LIFTS = torch.tensor([0.02, -0.02, 0.05])
+"""Three ways to move what is held, which nothing to be seen tells apart [m]."""
+
+
+def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:
+    """Returns a window of a hand that holds something, before and after the first lifts failed; and the lifts' goals.
+
+    Fits the policy's anchors to the lifts.
+    """
+    state = window.observations[schema.STATE][:1, -1:].clone()
+    state[..., 9] = 0.2
+    steps = policy.config.n_action_history_steps
+    goals = state[0, :, :10].repeat(3, 1)
+    goals[:, 0] += LIFTS
+    history = state[:, :, :10].repeat(3, steps, 1)
+    for row in range(1, 3):
+        history[row, -row:] = goals[:row]
+    valid = torch.arange(steps) >= steps - torch.arange(3)[:, None]
+    policy.fit_anchors(motion_between(goals, state[0, :, :10]), torch.full((3,), 0.2))
+    return Window({**window.observations, schema.STATE: state.expand(3, steps + 1, -1)}, history, valid), goals
 
 
 def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
-    """Nothing to be seen tells three modes apart: after one failure the second is tried, after two the third."""
-    policy, before, _, dataset = make_anchors(num_anchors=3)
-    window, *_ = policy.training_window(batch_of(dataset, before, *[6] * 3))
-    pose = window.observations[schema.STATE][:1, -1, :10]
-    steps = policy.config.n_action_history_steps
-    lifts = torch.tensor([0.02, -0.02, 0.05])
-    tries = pose.expand(3, 10).clone()
-    tries[:, 0] += lifts
-    history = torch.zeros(3, steps, 10) + pose
-    valid = torch.zeros(3, steps, dtype=torch.bool)
-    for row in range(1, 3):
-        history[row, -row:] = tries[:row]
-        valid[row, -row:] = True
-    states = window.observations[schema.STATE][:1, -1:].expand(3, steps + 1, -1)
-    window = Window({**window.observations, schema.STATE: states}, history, valid)
-    policy.fit_anchors(motion_between(tries, pose).numpy())
+    """After one failure the second is tried, after two the third: its memory says so without `avoid_repeats`."""
+    policy, before, _, dataset = make_anchors(num_anchors=3, avoid_repeats=False)
+    window, goals = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(80):
         optimizer.zero_grad()
-        policy.head.loss(policy.model, window, tries[:, None], torch.ones(3, 1, dtype=torch.bool))[0].mean().backward()
+        policy.head.loss(policy.model, window, goals[:, None], torch.ones(3, 1, dtype=torch.bool))[0].mean().backward()
         optimizer.step()
     policy.eval()
-    for seed in range(5):
+    start = window.observations[schema.STATE][0, -1, 0]
+    first = set()
+    for seed in range(20):
         torch.manual_seed(seed)
-        drawn = policy.head.sample(policy.model, window, None)[:, 0, 0] - pose[0, 0]
-        torch.testing.assert_close(drawn, lifts, rtol=0, atol=0.003)
+        drawn = policy.head.sample(policy.model, window, None)[:, 0, 0] - start
+        torch.testing.assert_close(drawn[1:], LIFTS[1:], rtol=0, atol=0.003)
+        first.add(round(drawn[0].item(), 2))
+    assert first == {0.02, -0.02, 0.05}  # nothing has failed yet, and nothing is to be seen
 
 
-# Refinement ---------------------------------------------------------------------------------------------------------
+def test_what_failed_is_not_drawn_again(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """The memory is untrained: the rule alone decides. A longer lift the same way is the same, and may fail too."""
+    policy, before, _, dataset = make_anchors(num_anchors=3)
+    window, _ = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
+    predict, start = policy.head.predict, window.observations[schema.STATE][0, -1, 0]
+    policy.head.predict = lambda *given: (torch.zeros(3, 3), torch.zeros(3, 3, 7), *predict(*given)[2:])
+    every = {0.02, -0.02, 0.05}
+    for avoid, wanted in ((True, [every, {-0.02}, every]), (False, [every] * 3)):
+        policy.config.avoid_repeats, found = avoid, [set(), set(), set()]
+        for noise in torch.linspace(0, 0.99, 12):
+            drawn = policy.head.sample(policy.model, window, noise.expand(3))[:, 0, 0] - start
+            for lifts, lift in zip(found, drawn.tolist(), strict=True):
+                lifts.add(round(lift, 2))
+        assert found == wanted
 
 
-Scene = tuple[torch.Tensor, torch.Tensor]
+def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """To the bit, losses and weights too: nothing that the memory learns reaches the rest."""
+    policies, losses = [], []
+    for steps in (4, 0):
+        torch.manual_seed(0)
+        policy, before, _, dataset = make_anchors(n_action_history_steps=steps)
+        optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+        for step in range(6):
+            torch.manual_seed(step)
+            optimizer.zero_grad()
+            loss, parts = policy.forward(batch_of(dataset, before, *range(step, 40, 2)))
+            loss.backward()
+            optimizer.step()
+            losses.append({name: value for name, value in parts.items() if name != "memory_loss"})
+        policies.append(policy.eval())
+    assert losses[:6] == losses[6:]
+    remembering, plain = (dict(policy.model.named_parameters()) for policy in policies)
+    assert {name for name in remembering if name not in plain} == {
+        f"memory.{name}" for name, _ in policies[0].model.memory.named_parameters()
+    }
+    assert all(torch.equal(weight, remembering[name]) for name, weight in plain.items())
+    batch, drawn = batch_of(dataset, before), []
+    for policy in policies:
+        torch.manual_seed(1)
+        drawn.append(policy.head.sample(policy.model, policy.training_window(batch)[0], None))
+    window, *_ = policies[0].training_window(batch)
+    touched = past_of(window).contact.any(dim=1)
+    assert torch.equal(drawn[0][~touched], drawn[1][~touched])
+    assert not torch.equal(drawn[0][touched], drawn[1][touched])
+    added = policies[0].head.predict(policies[0].model, window)[2]
+    assert added is not None
+    assert torch.equal(added.any(dim=1), touched)
 
 
-def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = False) -> Scene:
-    """Clouds of 16 shapes (N, 3) somewhere, and goals at their origins, half of them with swapped fingers."""
-    turns, places = Rotation.random(16, random_state=int(draw.integers(1 << 30))), draw.uniform(-0.5, 0.5, (16, 3))
-    clouds = np.stack([turn.apply(shape) + place for turn, place in zip(turns, places, strict=True)])
-    grasps = turns * Rotation.from_euler("z", np.pi * (draw.integers(2, size=16) * swapped)[:, None])
-    goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
-    return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
+# Rejected anchors ---------------------------------------------------------------------------------------------------
 
 
-def taught(shown: list[Scene], *, steps: int) -> Refiner:
-    """Returns a refiner after training on scenes."""
-    refiner = Refiner(48)
-    optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
-    for step in range(steps):
-        optimizer.zero_grad()
-        refiner.loss(*shown[step % len(shown)]).mean().backward()
-        optimizer.step()
-    return refiner.eval()
+def test_rejected_anchors_are_drawn_only_if_the_rest_is_never_done() -> None:
+    least, noise = 0.03, torch.linspace(0, 1 - 1e-6, 500)
+    seen = set()
+    for _ in range(60):
+        probabilities = (4 * torch.randn(5)).softmax(dim=0)
+        rejected = torch.rand(5) < 0.5
+        drawn = anchors._draw(probabilities.expand(500, 5), rejected.expand(500, 5), noise, least)
+        rest = probabilities * ~rejected
+        wanted = (probabilities if rest.sum() < least else rest / rest.sum()).clone()
+        wanted[(wanted < least) & (wanted < wanted.max())] = 0
+        share = torch.bincount(drawn, minlength=5) / 500
+        torch.testing.assert_close(share, wanted / wanted.sum(), rtol=0, atol=0.005)
+        seen.add(bool(rest.sum() < least))
+        assert seen != {True} or bool(share[rejected].any())
+    assert seen == {True, False}
 
 
-def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None:
-    """Of two grasps that are alike either may have been demonstrated; a quarter turn away none is nearer."""
-    torch.manual_seed(0)
-    draw = np.random.default_rng(0)
-    side, along = np.meshgrid(np.linspace(-0.006, 0.006, 3), np.linspace(-0.05, 0.05, 16))
-    bar = np.c_[along.ravel(), side.ravel(), np.zeros(48)]
-    refiner = taught([scenes(bar, draw, swapped=True) for _ in range(8)], steps=600)
-    cloud, goal = scenes(bar, draw, swapped=True)
-    twist = torch.zeros(16, 7)
-    twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
-    with torch.no_grad():
-        found = refiner.refined(cloud, pose_after(twist, goal), 3)
-    left = motion_between(found, goal)[:, 5].abs()
-    assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
-
-
-def test_a_refiner_finds_what_it_was_shown_wherever_it_stands() -> None:
-    """Goals are at a corner of a wedge: taught from poses beside them on a few scenes, found on others."""
-    torch.manual_seed(0)
-    draw = np.random.default_rng(0)
-    plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
-    wedge = np.concatenate([np.c_[plane, np.zeros(42)], np.c_[plane[:, 0], np.zeros(42), plane[:, 1]]])
-    refiner = taught([scenes(wedge, draw) for _ in range(4)], steps=400)
-    cloud, goal = scenes(wedge, draw)
-    off = torch.cat([torch.from_numpy(draw.normal(scale=0.015, size=(16, 3))).float(), torch.zeros(16, 4)], dim=1)
-    with torch.no_grad():
-        ends = [refiner.refined(cloud, pose_after(off, goal), steps)[:, :3] for steps in (0, 1, 3)]
-    missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
-    assert missed[0] > 0.015
-    assert missed[1] < 0.5 * missed[0]
-    assert missed[2] < 0.006
-
-
-def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
-    turn = torch.zeros(4, 7)
-    turn[:, 5] = torch.tensor([0.1, 1.4, 1.8, 3.0])
-    home = torch.tensor([[0.5, 0.1, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0]]).expand(4, -1)
-    grasp = pose_after(turn, home)
-    found = anchors._less_turned(grasp, home, home)
-    torch.testing.assert_close(found[:2], grasp[:2])
-    torch.testing.assert_close(motion_between(found, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
-    # A hand that has been turned goes on to what was chosen, as demonstrations do.
-    torch.testing.assert_close(anchors._less_turned(grasp, grasp, home), grasp)
-
-
-def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
-    make_anchors: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    policy, before, _, dataset = make_anchors()
-    policy.eval()
-    for model in (policy.model, policy.ema_model):
-        model.anchors[:, 0], model.anchors[:, 6], model.spread[:] = 0.05, 1.0, torch.tensor(MIN_SPREAD)
-        model.spread[::2, 2] = 0.03
-    assert policy.model.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
-    policy.model.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a closed hand
-    policy.model.anchors[2, :3] = 0.0  # and one that stays
-    assert policy.model.needs_refinement(torch.arange(6)).tolist() == [False] * 4 + [True, False]
-    policy.model.anchors.copy_(policy.ema_model.anchors)
-    observation = observation_of(dataset, before, *range(20))
-    noise = torch.rand(20, 1)
-
-    def acted() -> torch.Tensor:
-        policy.reset()
-        return policy.select_action(observation, noise=noise)
-
-    looked: list[int] = []
-    refine = Refiner.refined
-    monkeypatch.setattr(Refiner, "refined", lambda *a: looked.append(len(a[2])) or refine(*a))
-    few = acted()
-    monkeypatch.setattr(anchors, "_rows_to_refine", lambda aims: torch.arange(len(aims)))
-    torch.testing.assert_close(few, acted(), rtol=0, atol=1e-6)
-    assert 0 < looked[0] < looked[1] == 20
-    for model in (policy.model, policy.ema_model):
-        model.spread[:] = torch.tensor(MIN_SPREAD)
-    acted()
-    assert len(looked) == 2
-    loss, metrics = policy.train().forward(batch_of(dataset, before, 0, 5, 8, 20))
-    loss.backward()
-    assert metrics["refinement_loss"] == 0.0
-    assert not any(weight.grad.any() for weight in policy.model.refiner.parameters())
+def test_an_empty_closed_hand_opens_or_pushes_where_demonstrations_do(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors(num_anchors=3, num_refinements=0, n_action_history_steps=0)
+    opens, pulls, pushes = torch.eye(7)[6], -0.05 * torch.eye(7)[2], 0.05 * torch.eye(7)[2]
+    shown = torch.stack([opens, pulls, pushes]).repeat(100, 1)
+    openings = torch.full((300,), 0.3)
+    openings[1:12:3] = 0.0  # 4 of 100 pulls: a grip that was lost
+    openings[2:20:3] = 0.0  # 6 of 100 pushes
+    policy.fit_anchors(shown, openings)
+    motions = policy.model.motions
+    kinds = motions.nearest(torch.stack([opens, pulls, pushes]))
+    assert motions.from_empty[kinds].tolist() == [True, False, True]
+    window, *_ = policy.training_window(batch_of(dataset, before, *[6] * 60))
+    policy.head.predict = lambda *_: (torch.zeros(60, 3), torch.zeros(60, 3, 7), None, None)
+    for opening, allowed in ((0.0, {0, 2}), (0.3, {0, 1, 2}), (1.0, {0, 1, 2})):
+        window.observations[schema.STATE][..., 9] = opening
+        drawn = policy.head.sample(policy.model, window, torch.linspace(0, 0.99, 60))[:, 0]
+        found = motions.nearest(motion_between(drawn, window.observations[schema.STATE][:, -1, :10]))
+        assert {kinds.tolist().index(int(index)) for index in found} == allowed

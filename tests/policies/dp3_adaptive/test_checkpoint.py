@@ -11,20 +11,23 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.factory import make_policy, make_pre_post_processors
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.pointcloud import as_points
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
 
-def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
+def test_fine_tuning_keeps_the_units_of_clouds_and_takes_those_of_the_new_data(
     make_tiny: MakeTiny, batch_of: Any, tmp_path: Path
 ) -> None:
-    """LeRobot normalises with the new data's statistics; what undoes it must use the same, or metres are none."""
-    still = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0}
-    policy, before, after, dataset = make_tiny(**still)
+    """LeRobot normalises with the new data's statistics; the encoder sees clouds in the units it was trained in."""
+    policy, before, after, dataset = make_tiny()
+    units, cloud = policy.model.cloud_units, as_points(dataset[6][schema.POINT_CLOUD])
+    assert 0.5 < units(cloud).abs().max() <= 1.0
+    torch.testing.assert_close(units(cloud).diff(dim=0) * units.scale, cloud.diff(dim=0), rtol=0, atol=1e-5)
     for part in (policy, before, after):
         part.save_pretrained(tmp_path)
     other = dataset.meta
-    for key in (schema.STATE, schema.ACTION):
+    for key in (schema.STATE, schema.ACTION, schema.POINT_CLOUD):
         other.stats[key]["min"] = other.stats[key]["min"] - 0.5
         other.stats[key]["max"] = other.stats[key]["max"] + 0.1
     config = PreTrainedConfig.from_pretrained(tmp_path)
@@ -32,7 +35,7 @@ def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
     tuned = make_policy(config, ds_meta=other)
     stats = {"stats": other.stats}
     # As lerobot-train does for --policy.path.
-    again, _ = make_pre_post_processors(
+    again, back = make_pre_post_processors(
         config,
         pretrained_path=str(tmp_path),
         preprocessor_overrides={"normalizer_processor": stats},
@@ -40,12 +43,10 @@ def test_fine_tuning_measures_poses_as_the_new_data_are_normalised(
     )
     old, new = batch_of(dataset, before, 6), batch_of(dataset, again, 6)
     assert not torch.allclose(old[schema.ACTION], new[schema.ACTION], atol=1e-2)
-    expected = policy.frames.to_relative(old[schema.ACTION][:, None], old[schema.STATE])
-    found = tuned.frames.to_relative(new[schema.ACTION][:, None], new[schema.STATE])
-    torch.testing.assert_close(found[..., :3], expected[..., :3], rtol=0, atol=1e-5)
-    # The encoder keeps the units it was trained in.
-    assert torch.equal(tuned.frames.cloud_center, policy.frames.cloud_center)
-    assert torch.equal(tuned.frames.cloud_scale, policy.frames.cloud_scale)
+    labels = tuned.training_window(new)[1][:, 0]
+    torch.testing.assert_close(back(labels), dataset[6][schema.ACTION][None], rtol=0, atol=1e-5)
+    assert torch.equal(tuned.model.cloud_units.center, units.center)
+    assert torch.equal(tuned.model.cloud_units.scale, units.scale)
 
 
 def test_a_card_describes_this_policy(make_tiny: MakeTiny) -> None:

@@ -11,15 +11,16 @@ import torch
 
 from lerobot_adamanip.contract import schema
 
-STILL = {"augmentation_translation": 0.0, "augmentation_yaw": 0.0, "history_noise_std": 0.0}
-SHAPES = [(1, 3, 4, 1), (3, 5, 4, 2), (2, 1, 4, 4), (1, 0, 4, 2)]
-"""n_obs_steps, n_action_history_steps, horizon, n_action_steps."""
+Shape = tuple[str, int, int, int, int]
+SHAPES: list[Shape] = [("dp3", 1, 3, 4, 1), ("dp3", 3, 5, 4, 2), ("dp3", 2, 1, 4, 4), ("dp3", 1, 0, 4, 2)]
+"""preset, n_obs_steps, n_action_history_steps, horizon, n_action_steps."""
+EVERY = [*SHAPES, ("diffusion", 1, 5, 4, 1), ("diffusion", 1, 3, 4, 2), ("diffusion", 1, 0, 4, 4)]
 MakeTiny = Callable[..., tuple[Any, ...]]
 
 
-def _config(shape: tuple[int, int, int, int]) -> dict[str, Any]:
-    names = ("n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")
-    return {**STILL, **dict(zip(names, shape, strict=True))}
+def _config(shape: Shape) -> dict[str, Any]:
+    names = ("preset", "n_obs_steps", "n_action_history_steps", "horizon", "n_action_steps")
+    return dict(zip(names, shape, strict=True))
 
 
 class Spy:
@@ -43,17 +44,18 @@ def _steer(policy: Any, actions: torch.Tensor) -> Callable[[int], None]:
     """Makes the policy 'generate' what was recorded: the chunk from a given frame on."""
     frame = [0]
 
-    def chunk(sample: torch.Tensor, state: torch.Tensor) -> torch.Tensor:
-        wanted = [min(frame[0] + step, len(actions) - 1) for step in range(sample.shape[1])]
+    def sample(model: Any, window: Any, noise: Any) -> torch.Tensor:
+        policy.head.condition(model, window)
+        wanted = [min(frame[0] + step, len(actions) - 1) for step in range(policy.config.horizon)]
         return actions[wanted][None]
 
-    policy.frames.to_absolute = chunk
+    policy.head.sample = sample
     return lambda now: frame.__setitem__(0, now)
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("shape", EVERY, ids=str)
 def test_training_and_run_time_condition_on_the_same_tensors(
-    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, shape: tuple[int, int, int, int]
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, shape: Shape
 ) -> None:
     policy, before, _, dataset = make_tiny(**_config(shape))
     policy.eval()
@@ -84,12 +86,10 @@ def test_training_and_run_time_condition_on_the_same_tensors(
         spy.seen.clear()
 
 
-@pytest.mark.parametrize("shape", SHAPES)
-@pytest.mark.parametrize("relative", [True, False])
-def test_the_first_frame_cannot_see_its_label(
-    make_tiny: MakeTiny, batch_of: Any, shape: tuple[int, int, int, int], relative: bool
-) -> None:
-    policy, before, _, dataset = make_tiny(**_config(shape), tcp_relative=relative)
+@pytest.mark.parametrize("shape", EVERY, ids=str)
+def test_the_first_frame_cannot_see_its_label(make_tiny: MakeTiny, batch_of: Any, shape: Shape) -> None:
+    policy, before, _, dataset = make_tiny(**_config(shape))
+    policy.eval()
     spy = Spy(policy)
     window, labels, real = policy.training_window(batch_of(dataset, before, 0))
     # Rows before the episode are its first one, whose action is the label: this is the leak that the mask is for.
@@ -100,10 +100,8 @@ def test_the_first_frame_cannot_see_its_label(
     assert all(torch.equal(first, other) for other in others)
 
 
-@pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[1]])
-def test_labels_never_condition_but_every_past_action_does(
-    make_tiny: MakeTiny, batch_of: Any, shape: tuple[int, int, int, int]
-) -> None:
+@pytest.mark.parametrize("shape", [shape for shape in SHAPES if shape[2]], ids=str)
+def test_labels_never_condition_but_every_past_action_does(make_tiny: MakeTiny, batch_of: Any, shape: Shape) -> None:
     policy, before, _, dataset = make_tiny(**_config(shape))
     spy = Spy(policy)
     window, labels, real = policy.training_window(batch_of(dataset, before, 6))
@@ -119,21 +117,24 @@ def test_labels_never_condition_but_every_past_action_does(
     assert differs == [True] * past + [False] * (len(differs) - past)
 
 
-def test_without_history_it_is_plain_dp3(make_tiny: MakeTiny, batch_of: Any, observation_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(**_config((1, 0, 4, 1)))
-    assert policy.model.history is None
+@pytest.mark.parametrize(("preset", "part"), [("fast", "memory"), ("diffusion", "memory"), ("dp3", "history")])
+def test_without_history_an_observation_alone_decides(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str, part: str
+) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset, n_action_history_steps=0)
+    assert getattr(policy.model, part) is None
     assert torch.isfinite(policy.forward(batch_of(dataset, before, 0, 5))[0])
     policy.eval()
-    noise = torch.randn(1, 4, 10)
-    observation = observation_of(dataset, before, 5)
-    first = policy.select_action(observation, noise=noise)
-    # Whatever was done before, the same observation leads to the same action.
-    torch.testing.assert_close(policy.select_action(observation, noise=noise), first, rtol=0, atol=0)
+    actions = []
+    for seen in (5, 2, 5):  # whatever was done before, the same observation leads to the same action
+        torch.manual_seed(0)
+        actions.append(policy.select_action(observation_of(dataset, before, seen)))
+    assert torch.equal(actions[2], actions[0])
+    assert not torch.equal(actions[1], actions[0])
 
 
 def test_noise_on_the_history_is_for_training_only(make_tiny: MakeTiny, batch_of: Any) -> None:
-    changes = {**_config((1, 3, 4, 1)), "history_noise_std": 0.1}
-    policy, before, _, dataset = make_tiny(**changes)
+    policy, before, _, dataset = make_tiny(n_action_history_steps=3, history_noise_std=0.1)
     spy = Spy(policy)
     batch = batch_of(dataset, before, 6)
     for mode in (True, True, False, False):
@@ -147,10 +148,10 @@ def test_noise_on_the_history_is_for_training_only(make_tiny: MakeTiny, batch_of
 
 def test_an_action_is_remembered_as_the_environment_receives_it(make_tiny: MakeTiny, observation_of: Any) -> None:
     """A network's numbers are no rotation, and a gripper beyond its range; recorded actions are neither."""
-    policy, before, after, dataset = make_tiny(**STILL)
+    policy, before, after, dataset = make_tiny()
     policy.eval()
     raw = torch.tensor([[0.1, -0.2, 0.3, 0.9, 0.2, 0.0, 0.3, 1.2, 0.1, 1.7]])
-    policy.frames.to_absolute = lambda sample, state: raw.expand(1, sample.shape[1], 10)
+    policy.head.sample = lambda *_: raw.expand(1, policy.config.horizon, 10)
     action = policy.select_action(observation_of(dataset, before, 3))
     assert torch.equal(action, raw)
     remembered = policy.executed_history(1, action)[0][:, -1]

@@ -16,9 +16,9 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 
 
 def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(tcp_relative=False)
+    policy, before, _, dataset = make_tiny()
     policy.eval()
-    batch = batch_of(dataset, before, 10, 3)
+    batch = batch_of(dataset, before, 9, 3)
     window, labels, real = policy.training_window(batch)
     assert real.tolist() == [[True] + [False] * 3, [True] * 4]
     wild = labels.clone()
@@ -35,8 +35,9 @@ def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, b
     assert torch.equal(losses[0][1], losses[1][1])
 
 
-def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(history_noise_std=0.0, augmentation_translation=0.0, augmentation_yaw=0.0)
+@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
+def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset)
     batch = batch_of(dataset, before, 0, 5)
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
 
@@ -55,7 +56,7 @@ def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:
 def test_averaged_weights_follow_and_are_used_only_outside_training(
     make_tiny: MakeTiny, batch_of: Any, observation_of: Any
 ) -> None:
-    policy, before, _, dataset = make_tiny()
+    policy, before, _, dataset = make_tiny(n_action_history_steps=0)
     trained, averaged = list(policy.model.parameters()), list(policy.ema_model.parameters())
     start = [weight.clone() for weight in averaged]
     optimised = {id(weight) for weight in policy.get_optim_params()}

@@ -1,0 +1,125 @@
+"""Refinement: a pose is led to what was shown, wherever that stands, and nowhere else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from torch import Tensor
+
+from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
+from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
+from lerobot_policy_adamanip.dp3_adaptive.approach import _less_turned
+from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+
+REACH, PLATE = 0.1, (0.2, 0.1, 0.05)
+"""Default of `refinement_reach`; a place beside a wedge, in its frame [m]."""
+Scene = tuple[Tensor, Tensor]
+
+
+def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = False) -> Scene:
+    """Clouds of 16 shapes (N, 3) somewhere, and goals at their origins, half of them with swapped fingers."""
+    turns, places = Rotation.random(16, random_state=int(draw.integers(1 << 30))), draw.uniform(-0.5, 0.5, (16, 3))
+    clouds = np.stack([turn.apply(shape) + place for turn, place in zip(turns, places, strict=True)])
+    grasps = turns * Rotation.from_euler("z", np.pi * (draw.integers(2, size=16) * swapped)[:, None])
+    goals = np.c_[places, rotation_6d_from_matrix(grasps.as_matrix()), np.ones(16)]
+    return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
+
+
+def taught(shown: list[Scene], *, steps: int) -> Refiner:
+    """Returns a refiner after training on scenes."""
+    refiner = Refiner(48)
+    optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
+    for step in range(steps):
+        optimizer.zero_grad()
+        refiner.loss(*shown[step % len(shown)]).mean().backward()
+        optimizer.step()
+    return refiner.eval().requires_grad_(False)
+
+
+def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None:
+    """Of two grasps that are alike either may have been demonstrated; a quarter turn away none is nearer."""
+    torch.manual_seed(0)
+    draw = np.random.default_rng(0)
+    side, along = np.meshgrid(np.linspace(-0.006, 0.006, 3), np.linspace(-0.05, 0.05, 16))
+    bar = np.c_[along.ravel(), side.ravel(), np.zeros(48)]
+    bars = taught([scenes(bar, draw, swapped=True) for _ in range(8)], steps=600)
+    cloud, goal = scenes(bar, draw, swapped=True)
+    twist = torch.zeros(16, 7)
+    twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
+    found, _ = bars.refined(cloud, pose_after(twist, goal), 3, REACH)
+    left = motion_between(found, goal)[:, 5].abs()
+    assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
+
+
+def wedges(draw: np.random.Generator) -> Scene:
+    """Wedges, whose corner is the goal, each beside a plate of 10 cm that nothing is done with."""
+    plane = np.stack(np.meshgrid(np.linspace(0, 0.08, 7), np.linspace(0, 0.05, 6)), axis=-1).reshape(-1, 2)
+    wedge = np.concatenate([np.c_[plane, np.zeros(42)], np.c_[plane[:, 0], np.zeros(42), plane[:, 1]]])
+    return scenes(np.concatenate([wedge, np.c_[plane * (1.2, 2), np.zeros(42)] + PLATE]), draw)
+
+
+def near(goal: Tensor, draw: np.random.Generator) -> Tensor:
+    """Poses about 2.5 cm beside goals."""
+    off = torch.from_numpy(draw.normal(scale=0.015, size=(len(goal), 3))).float()
+    return pose_after(torch.cat([off, torch.zeros(len(goal), 3), goal[:, 9:]], dim=1), goal)
+
+
+@pytest.fixture(scope="module")
+def refiner() -> Refiner:
+    """Taught from poses beside the corners of wedges, on a few scenes."""
+    torch.manual_seed(0)
+    draw = np.random.default_rng(0)
+    return taught([wedges(draw) for _ in range(4)], steps=400)
+
+
+def test_a_refiner_finds_what_it_was_shown_wherever_it_stands(refiner: Refiner) -> None:
+    draw = np.random.default_rng(1)
+    cloud, goal = wedges(draw)
+    start = near(goal, draw)
+    ends = [refiner.refined(cloud, start, steps, REACH)[0][:, :3] for steps in (0, 1, 3)]
+    missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
+    assert missed[0] > 0.015
+    assert missed[1] < 0.5 * missed[0]
+    assert missed[2] < 0.006
+
+
+def test_it_tells_what_can_be_held_from_what_was_never_held(refiner: Refiner) -> None:
+    draw = np.random.default_rng(2)
+    cloud, goal = wedges(draw)
+    beside = pose_after(torch.tensor([*PLATE, 0.0, 0.0, 0.0, 1.0]).expand(16, 7), goal)
+    _, held = refiner.refined(cloud, near(goal, draw), 3, REACH)
+    assert held.float().mean() > 0.9
+    _, held = refiner.refined(cloud, near(beside, draw), 3, REACH)
+    assert held.float().mean() < 0.1
+
+
+@pytest.mark.parametrize("reach", [0.003, 0.02, 0.1])
+def test_no_pose_is_shifted_beyond_the_reach_and_one_that_would_be_has_nothing_to_hold(
+    refiner: Refiner, reach: float
+) -> None:
+    draw = np.random.default_rng(3)
+    cloud, goal = wedges(draw)
+    start = near(goal, draw)
+    free, holds = refiner.refined(cloud, start, 3, 10.0)
+    found, held = refiner.refined(cloud, start, 3, reach)
+    wanted, shift = (each[:, :3] - start[:, :3] for each in (free, found))
+    length = wanted.norm(dim=-1)
+    assert (shift.norm(dim=-1) <= reach + 1e-6).all()
+    assert torch.equal(held, holds & (length < reach))
+    torch.testing.assert_close(shift, wanted * (reach / length).clamp(max=1)[:, None], rtol=0, atol=1e-6)
+    assert torch.equal(found[:, 3:], free[:, 3:])
+    assert torch.equal(found[:, 9], start[:, 9])
+
+
+def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
+    turn = torch.zeros(4, 7)
+    turn[:, 5] = torch.tensor([0.1, 1.4, 1.8, 3.0])
+    home = torch.tensor([[0.5, 0.1, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0]]).expand(4, -1)
+    grasp = pose_after(turn, home)
+    found = _less_turned(grasp, home, home)
+    torch.testing.assert_close(found[:2], grasp[:2])
+    torch.testing.assert_close(motion_between(found, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
+    # A hand that has been turned goes on to what was chosen, as demonstrations do.
+    torch.testing.assert_close(_less_turned(grasp, grasp, home), grasp)
