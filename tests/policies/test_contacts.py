@@ -16,7 +16,7 @@ AT_REST = torch.tensor([0.5, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0, 1.0, 0.0, HOLDING])
 PULL = torch.tensor([-0.05, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
 PUSH = torch.tensor([0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0])
 TURN = torch.tensor([0.0, 0.0, 0.0, 0.0, 0.0, 0.5, 0.0])
-OPEN = torch.tensor([0.0, 0.0, -0.1, 0.0, 0.0, 0.0, 1.0])
+OPEN = PULL + torch.eye(7)[6]
 Step = tuple[Tensor, float]
 Played = tuple[Tensor, Tensor, Tensor]
 
@@ -45,7 +45,7 @@ def repeats(past: Played, *motions: Tensor) -> list[bool]:
 
 
 def test_only_motions_of_a_closed_hand_are_contact_events() -> None:
-    past = played((PULL, 0.0), (0.1 * PULL, 1.0), (TURN, 1.0), (OPEN, 1.0), (PULL + OPEN, 1.0), (TURN, 0.0))
+    past = played((PULL, 0.0), (0.1 * PULL, 1.0), (TURN, 1.0), (OPEN, 1.0), (OPEN, 0.0), (TURN, 0.0))
     assert contact_events(*past)[0].tolist() == [False, True, False, True, False, False, False]
     assert not contact_events(*past[:2], torch.zeros_like(past[2])).any()
 

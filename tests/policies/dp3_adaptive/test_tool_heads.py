@@ -17,6 +17,7 @@ from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
 from lerobot_policy_adamanip.dp3_adaptive import approach
 from lerobot_policy_adamanip.dp3_adaptive.motions import TypicalMotions
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import past_of
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -52,6 +53,15 @@ def test_the_action_moves_with_the_scene(make_tiny: MakeTiny, observation_of: An
         acted.append([policy.select_action(seen, noise=noise) for _ in range(3)])
     for one, other in zip(*acted, strict=True):
         torch.testing.assert_close(other, poses(one), rtol=0, atol=2e-3)
+
+
+def test_the_past_holds_commands_and_the_poses_before_them(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(preset="fast")
+    rows = [dataset[index] for index in range(3, 8)]
+    past = past_of(policy.training_window(batch_of(dataset, before, 7))[0])
+    assert past.valid.all()
+    assert torch.equal(past.poses[0], torch.stack([row[schema.STATE][:10] for row in rows]))
+    assert torch.equal(past.commands[0], torch.stack([row[schema.EXECUTED] for row in rows[:-1]]))
 
 
 # Approaches ---------------------------------------------------------------------------------------------------------
