@@ -46,7 +46,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
         {"num_draws": 0}, {"num_refinements": -1},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
-        {"n_obs_steps": 2, "preset": "diffusion"},
+        {"n_obs_steps": 2, "preset": "diffusion"}, {"tcp_relative": True},
         *({name: "nonsense"} for name in ("preset", "encoder", "head", "frame")),
         *({name: "nonsense", "preset": "dp3"} for name in ("proprioception", "noise_scheduler_type")),
         *({**wrong, "preset": preset} for preset in ("diffusion", "dp3") for wrong in WRONG_UNET),

@@ -37,8 +37,7 @@ def played(*steps: Step, opening: float = HOLDING) -> Played:
 
 def repeats(past: Played, *motions: Tensor) -> list[bool]:
     """Returns whether motions would repeat a failure of the past."""
-    commands, poses, _ = past
-    return repeats_failure(commands, poses, contact_events(*past), torch.stack(motions)[None])[0].tolist()
+    return repeats_failure(*past, contact_events(*past), torch.stack(motions)[None])[0].tolist()
 
 
 # Contact events -----------------------------------------------------------------------------------------------------
@@ -83,7 +82,7 @@ def test_the_order_of_contact_events_is_remembered() -> None:
         ([(PULL, 0.1), (TURN, 0.1)], [True, True, False, False]),
         ([(PULL, 0.0), (TURN, 1.0)], [False, False, False, False]),  # the turn has moved something
         ([(TURN, 1.0), (TURN, 0.1)], [False, True, False, False]),  # it went so far, and no further
-        ([(PULL, 0.0), (OPEN, 0.0)], [True, False, False, False]),  # a release is no motion of a part
+        ([(PULL, 0.0), (OPEN, 0.0)], [False, False, False, False]),  # let go: the next grip is another one
         ([(PULL, BLOCKED_SHARE - 0.02)], [True, False, False, False]),
         ([(PULL, BLOCKED_SHARE + 0.02)], [False, False, False, False]),  # done in part: may go on
     ],

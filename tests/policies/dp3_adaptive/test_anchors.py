@@ -248,21 +248,20 @@ def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchor
 # Rejected anchors ---------------------------------------------------------------------------------------------------
 
 
-def test_rejected_anchors_are_drawn_only_if_the_rest_is_never_done() -> None:
-    least, noise = 0.03, torch.linspace(0, 1 - 1e-6, 500)
-    seen = set()
-    for _ in range(60):
-        probabilities = (4 * torch.randn(5)).softmax(dim=0)
-        rejected = torch.rand(5) < 0.5
-        drawn = anchors._draw(probabilities.expand(500, 5), rejected.expand(500, 5), noise, least)
+def test_rejected_anchors_are_drawn_only_if_nothing_else_is_done_and_the_hand_cannot_let_go() -> None:
+    least, noise, cases = 0.03, torch.linspace(0, 1 - 1e-6, 500), set()
+    for _ in range(120):
+        probabilities, rejected, opens = (4 * torch.randn(5)).softmax(dim=0), torch.rand(5) < 0.6, torch.rand(5) < 0.3
+        drawn = anchors._draw(probabilities.expand(500, 5), rejected.expand(500, 5), opens, noise, least)
         rest = probabilities * ~rejected
-        wanted = (probabilities if rest.sum() < least else rest / rest.sum()).clone()
+        likely, releases = bool(rest.sum() >= least), bool((rest * opens).any())
+        wanted = rest if likely else rest * opens if releases else probabilities
+        wanted = wanted / wanted.sum()
         wanted[(wanted < least) & (wanted < wanted.max())] = 0
         share = torch.bincount(drawn, minlength=5) / 500
         torch.testing.assert_close(share, wanted / wanted.sum(), rtol=0, atol=0.005)
-        seen.add(bool(rest.sum() < least))
-        assert seen != {True} or bool(share[rejected].any())
-    assert seen == {True, False}
+        cases.add((likely, releases))
+    assert len(cases) == 4
 
 
 def test_an_empty_closed_hand_opens_or_pushes_where_demonstrations_do(make_anchors: MakeTiny, batch_of: Any) -> None:
