@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.events import EVENT_DIM
@@ -36,7 +36,8 @@ def contact_events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
     """
     motion = motion_between(commands, poses[:, :-1])
     shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
-    holds = poses[:, :-1, GRIPPER_DIM] >= EMPTY_HAND
+    opening = poses[:, :-1, GRIPPER_DIM]
+    holds = (opening >= EMPTY_HAND) & (opening <= OPEN_HAND)
     moves = holds & ((shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)) | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
     closed = commands[..., GRIPPER_DIM] < CLOSED
     result: Tensor = valid & moves & closed & F.pad(closed[:, :-1], (1, 0))

@@ -11,7 +11,6 @@ from torch import Tensor
 from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import ContactMemory
-from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
 from lerobot_policy_adamanip.dp3_adaptive.approach import refine, refinement_loss
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import Denoiser, DiffusionHead
@@ -83,7 +82,7 @@ class ToolDiffusionHead(DiffusionHead):
     def decode(self, values: Tensor, window: Window) -> Tensor:
         """Inverts `encode`; any values become poses."""
         position = POSITION_UNIT * torch.sinh(values[..., POSITION_DIMS])
-        rotation = orthonormal_6d(values[..., ROTATION_DIMS] * ROTATION_UNIT)
+        rotation = values[..., ROTATION_DIMS] * ROTATION_UNIT
         gripper = ((values[..., GRIPPER_DIM:] + 1) / 2).clamp(0, 1)
         tool = window.observations[STATE][:, -1:, :ACTION_DIM].float()
         return tool_frame.absolute_poses(torch.cat([position, rotation, gripper], dim=-1), tool)
