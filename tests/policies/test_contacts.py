@@ -6,7 +6,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from lerobot_policy_adamanip.common.contacts import BLOCKED_SHARE, ContactMemory, contact_events, repeats_failure
+from lerobot_adamanip.contract.keyframes import FOLLOWED
+from lerobot_policy_adamanip.common.contacts import ContactMemory, contact_events, repeats_failure
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import fingers_swapped, motion_between, pose_after
 
@@ -83,8 +84,8 @@ def test_the_order_of_contact_events_is_remembered() -> None:
         ([(PULL, 0.0), (TURN, 1.0)], [False, False, False, False]),  # the turn has moved something
         ([(TURN, 1.0), (TURN, 0.1)], [False, True, False, False]),  # it went so far, and no further
         ([(PULL, 0.0), (OPEN, 0.0)], [False, False, False, False]),  # let go: the next grip is another one
-        ([(PULL, BLOCKED_SHARE - 0.02)], [True, False, False, False]),
-        ([(PULL, BLOCKED_SHARE + 0.02)], [False, False, False, False]),  # done in part: may go on
+        ([(PULL, FOLLOWED - 0.02)], [True, False, False, False]),
+        ([(PULL, FOLLOWED + 0.02)], [False, False, False, False]),  # done in part: may go on
     ],
 )
 def test_failures_are_not_repeated_until_something_has_moved(steps: list[Step], wanted: list[bool]) -> None:

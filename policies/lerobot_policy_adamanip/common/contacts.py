@@ -10,16 +10,13 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND, FOLLOWED, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
-FORGET = True
-BLOCKED_SHARE = 0.5
-"""A motion of which a smaller share was done has failed; one that was done in part may go on."""
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
 
@@ -65,22 +62,21 @@ class ContactMemory(nn.Module):
 def repeats_failure(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
     """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, (B, K) bool.
 
-    An event failed if less than `BLOCKED_SHARE` of its motion was done, or if the hand lost its grip. It counts until a
-    later one has moved something. Motions are compared in the base frame, whichever way a part is held. ``contact``
-    comes from `contact_events`, whose arguments the others are.
+    An event failed if less than `FOLLOWED` of its motion was done, or if the hand lost its grip. It counts until a
+    later one has moved something, or until the hand opens: with another grip the memory alone decides. Motions are
+    compared in the base frame, whichever way a part is held. ``contact`` comes from `contact_events`, whose arguments
+    the others are.
     """
     tool, reached = poses[:, :-1], poses[:, 1:]
     sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
     lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
-    failed = contact & (lost | (undone.norm(dim=-1) > (1 - BLOCKED_SHARE) * sent.norm(dim=-1)))
-    over = contact & ~failed
-    if FORGET:
-        over = over | (valid & (commands[..., GRIPPER_DIM] >= CLOSED))
-    moved_later = over.flip(1).cumsum(dim=1).flip(1) > 0
+    failed = contact & (lost | (undone.norm(dim=-1) > (1 - FOLLOWED) * sent.norm(dim=-1)))
+    over = (contact & ~failed) | (valid & (commands[..., GRIPPER_DIM] >= CLOSED))
+    over_later = over.flip(1).cumsum(dim=1).flip(1) > 0
     near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
     past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
     cosine = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1)
-    same = (failed & ~moved_later & near)[..., None] & (cosine > SAME_DIRECTION)
+    same = (failed & ~over_later & near)[..., None] & (cosine > SAME_DIRECTION)
     result: Tensor = same.any(dim=1) & (motions[..., 6] < CLOSED)
     return result
 

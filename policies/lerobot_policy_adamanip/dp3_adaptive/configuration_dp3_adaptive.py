@@ -79,7 +79,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Do not repeat a failed motion of a closed hand until something has moved (fast True, diffusion True).
     avoid_repeats: bool = from_preset()
     # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
-    # end, a motion of an empty closed hand, or (diffusion) a repeated failure (fast 4, diffusion 4).
+    # end, a motion of an empty closed hand, or (diffusion) a repeated failure (fast 4, diffusion 8).
     num_draws: int = from_preset()
     # Least probability of an anchor; less probable ones are not drawn (fast 0.03).
     min_probability: float = from_preset()

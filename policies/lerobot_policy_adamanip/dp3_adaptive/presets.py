@@ -36,7 +36,7 @@ PRESETS: dict[str, dict[str, Any]] = {
         **TOOL, **DENOISING,
         "down_dims": (128, 256), "kernel_size": 3, "diffusion_step_embed_dim": 64,
         "noise_scheduler_type": "DDIM", "prediction_type": "sample", "num_inference_steps": 10,
-        "clip_sample_range": 4.0, "optimizer_lr": 1e-3,
+        "clip_sample_range": 4.0, "optimizer_lr": 1e-3, "num_draws": 8,
     },
     "dp3": {
         **BASE,

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_policy_adamanip.affordance.plans import with_gripper
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import ContactMemory
 from lerobot_policy_adamanip.dp3_adaptive.approach import refine, refinement_loss
@@ -90,29 +91,33 @@ class ToolDiffusionHead(DiffusionHead):
     def sample(self, model: ToolDenoiser, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
 
-        A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times; if all do, the first one
-        counts.
+        A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times. If all do, the first one
+        counts; but a hand that would repeat a failure lets go.
         """
         condition = self.condition(model, window)
-        chunks, usable = self._draw(model, window, condition, noise)
+        chunks, usable, useless = self._draw(model, window, condition, noise)
         for _ in range(self.config.num_draws - 1):
             if bool(usable.all()):
                 break
-            others, fits = self._draw(model, window, condition, None)
+            others, fits, repeats = self._draw(model, window, condition, None)
             chunks = torch.where((fits & ~usable)[:, None, None], others, chunks)
-            usable = usable | fits
-        return chunks
+            usable, useless = usable | fits, useless & repeats
+        released = with_gripper(tool_of(window), 1.0)[:, None]
+        return torch.where((useless & ~usable)[:, None, None], released, chunks)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, noise: Tensor | None
-    ) -> tuple[Tensor, Tensor]:
-        """Returns chunks (B, T, 10) with a refined first action, and whether they can be used (B,)."""
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and useless if drawn again.
+
+        Useless are motions of a closed hand that has failed with them, or that holds nothing, (B,).
+        """
         chunk = self.decode(self.denoise(model, condition, noise), window)
         tool = tool_of(window)
         motion = tool_frame.motion_between(chunk[:, 0], tool)
         index = model.motions.nearest(motion)
-        first, usable = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
-        usable = usable & ~model.motions.without_grip(index[:, None], tool)[:, 0]
+        first, held = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
+        useless = model.motions.without_grip(index[:, None], tool)[:, 0]
         if model.memory is not None and self.config.avoid_repeats:
-            usable = usable & ~past_of(window).repeats(motion[:, None])[:, 0]
-        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), usable
+            useless = useless | past_of(window).repeats(motion[:, None])[:, 0]
+        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~useless, useless

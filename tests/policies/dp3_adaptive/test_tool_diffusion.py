@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
+from lerobot_policy_adamanip.affordance.plans import with_gripper
 from lerobot_policy_adamanip.common.tool_frame import pose_after
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import past_of, tool_of
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
@@ -92,12 +93,13 @@ def test_a_chunk_that_repeats_a_failure_or_pulls_without_a_grip_is_drawn_again(
         chunks = iter(policy.head.encode(goal[:, None].expand(2, policy.config.horizon, 10), window) for goal in goals)
         policy.head.denoise = lambda *_: next(chunks)
         found = policy.head.sample(policy.model, window, None)[:, 0]
+        goals.append(with_gripper(tool_of(window), 1.0))
         return [bool(torch.allclose(found, goal, atol=1e-4)) for goal in goals].index(True)
 
     assert past_of(closed_hand(policy, start, command=PULL, opening=0.2)).contact.any()
     assert drawn(PULL, TURN, failed=PULL, opening=0.2) == 1
     assert drawn(TURN, PULL, failed=PULL, opening=0.2) == 0
-    assert drawn(PULL, 0.9 * PULL, failed=PULL, opening=0.2) == 0  # nothing else: the first one counts
+    assert drawn(PULL, 0.9 * PULL, failed=PULL, opening=0.2) == 2  # nothing else: the hand lets go
     assert drawn(PULL, OPEN, failed=OPEN, opening=0.0) == 1  # an empty closed hand
     assert drawn(PULL, OPEN, failed=OPEN, opening=0.2) == 0
     policy.config.avoid_repeats = False
