@@ -6,8 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.contract.keyframes import FOLLOWED
-from lerobot_policy_adamanip.common.contacts import ContactMemory, contact_events, repeats_failure
+from lerobot_policy_adamanip.common.contacts import BLOCKED_SHARE, ContactMemory, contact_events, repeats_failure
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import fingers_swapped, motion_between, pose_after
 
@@ -36,9 +35,10 @@ def played(*steps: Step, opening: float = HOLDING) -> Played:
     return torch.stack(commands)[None], torch.stack(poses)[None], torch.ones(1, len(commands), dtype=torch.bool)
 
 
-def repeats(past: Played, *motions: Tensor) -> list[bool]:
-    """Returns whether motions would repeat a failure of the past."""
-    return repeats_failure(*past, contact_events(*past), torch.stack(motions)[None])[0].tolist()
+def repeats(past: Played, *motions: Tensor, this_grip: bool = False) -> list[bool]:
+    """Returns whether motions would repeat a failure of the past, or one of the present grip."""
+    found = repeats_failure(*past, contact_events(*past), torch.stack(motions)[None])
+    return found[this_grip][0].tolist()
 
 
 # Contact events -----------------------------------------------------------------------------------------------------
@@ -83,13 +83,16 @@ def test_the_order_of_contact_events_is_remembered() -> None:
         ([(PULL, 0.1), (TURN, 0.1)], [True, True, False, False]),
         ([(PULL, 0.0), (TURN, 1.0)], [False, False, False, False]),  # the turn has moved something
         ([(TURN, 1.0), (TURN, 0.1)], [False, True, False, False]),  # it went so far, and no further
-        ([(PULL, 0.0), (OPEN, 0.0)], [False, False, False, False]),  # let go: the next grip is another one
-        ([(PULL, FOLLOWED - 0.02)], [True, False, False, False]),
-        ([(PULL, FOLLOWED + 0.02)], [False, False, False, False]),  # done in part: may go on
+        ([(PULL, 0.0), (OPEN, 0.0)], [True, False, False, False]),  # with another grip, too
+        ([(PULL, BLOCKED_SHARE - 0.02)], [True, False, False, False]),
+        ([(PULL, BLOCKED_SHARE + 0.02)], [False, False, False, False]),  # done in part: may go on
     ],
 )
 def test_failures_are_not_repeated_until_something_has_moved(steps: list[Step], wanted: list[bool]) -> None:
-    assert repeats(played(*steps), PULL, TURN, -TURN, OPEN) == wanted
+    past = played(*steps)
+    assert repeats(past, PULL, TURN, -TURN, OPEN) == wanted
+    released = any(motion is OPEN for motion, _ in steps)
+    assert repeats(past, PULL, TURN, -TURN, OPEN, this_grip=True) == ([False] * 4 if released else wanted)
 
 
 def test_a_failure_is_the_same_whichever_way_round_the_part_is_held() -> None:

@@ -10,13 +10,15 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND, FOLLOWED, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
+BLOCKED_SHARE = 0.25
+"""A motion of which a smaller share was done has failed; one that was done in part may go on."""
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
 
@@ -59,26 +61,32 @@ class ContactMemory(nn.Module):
         return state
 
 
-def repeats_failure(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
-    """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, (B, K) bool.
+def repeats_failure(
+    commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor
+) -> tuple[Tensor, Tensor]:
+    """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, twice (B, K) bool.
 
-    An event failed if less than `FOLLOWED` of its motion was done, or if the hand lost its grip. It counts until a
-    later one has moved something, or until the hand opens: with another grip the memory alone decides. Motions are
-    compared in the base frame, whichever way a part is held. ``contact`` comes from `contact_events`, whose arguments
-    the others are.
+    An event failed if less than `BLOCKED_SHARE` of its motion was done, or if the hand lost its grip. The first result
+    is about failures since something has moved, the second about those of the present grip: since the hand was open,
+    too. Motions are compared in the base frame, whichever way a part is held. ``contact`` comes from `contact_events`,
+    whose arguments the others are.
     """
     tool, reached = poses[:, :-1], poses[:, 1:]
     sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
     lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
-    failed = contact & (lost | (undone.norm(dim=-1) > (1 - FOLLOWED) * sent.norm(dim=-1)))
-    over = (contact & ~failed) | (valid & (commands[..., GRIPPER_DIM] >= CLOSED))
-    over_later = over.flip(1).cumsum(dim=1).flip(1) > 0
+    failed = contact & (lost | (undone.norm(dim=-1) > (1 - BLOCKED_SHARE) * sent.norm(dim=-1)))
     near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
     past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
-    cosine = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1)
-    same = (failed & ~over_later & near)[..., None] & (cosine > SAME_DIRECTION)
-    result: Tensor = same.any(dim=1) & (motions[..., 6] < CLOSED)
-    return result
+    same = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1) > SAME_DIRECTION
+    since_moved = failed & near & ~_before(contact & ~failed)
+    this_grip = since_moved & ~_before(valid & (commands[..., GRIPPER_DIM] >= CLOSED))
+    closed = motions[..., -1] < CLOSED
+    return (since_moved[..., None] & same).any(dim=1) & closed, (this_grip[..., None] & same).any(dim=1) & closed
+
+
+def _before(event: Tensor) -> Tensor:
+    """Returns which steps (B, H) have an event (B, H) at or after them."""
+    return event.flip(1).cumsum(dim=1).flip(1) > 0
 
 
 def _scaled(motion: Tensor) -> Tensor:

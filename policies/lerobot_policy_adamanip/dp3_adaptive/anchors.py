@@ -126,16 +126,20 @@ class AnchorHead:
         tool, motions = tool_of(window), model.motions
         logits, residuals, added, past = self.predict(model, window)
         logits, drawn = logits.float(), motions.anchors + residuals.float() * motions.spread
-        rejected = motions.without_grip(torch.arange(logits.shape[1], device=logits.device), tool)
+        rejected = useless = motions.without_grip(torch.arange(logits.shape[1], device=logits.device), tool)
         if added is not None:
             logits = logits + added.float()
             if self.config.avoid_repeats:
-                rejected = rejected | past.repeats(drawn)
+                failed, failed_now = past.repeats(drawn)
+                rejected, useless = rejected | failed, useless | failed_now
         opens = motions.anchors[:, -1] >= CLOSED
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
         result, done = None, torch.zeros_like(rejected[:, 0])
         for number in range(self.config.num_draws):
-            index = _draw(logits.softmax(dim=-1), rejected, opens, noises[:, number], self.config.min_probability)
+            probabilities = _allowed(
+                logits.softmax(dim=-1), rejected, useless, opens, least=self.config.min_probability
+            )
+            index = _draw(probabilities, noises[:, number], self.config.min_probability)
             motion = drawn[rows, index]
             pose = tool_frame.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
             pose, usable = refine(self.config, model.refiner, motions.needs_refinement(index), window, pose)
@@ -156,17 +160,21 @@ class AnchorHead:
         return torch.cat([given, noises[:, given.shape[1] :]], dim=1)
 
 
-def _draw(probabilities: Tensor, rejected: Tensor, opens: Tensor, noise: Tensor, least: float) -> Tensor:
-    """Draws indices (B,) from probabilities (B, K) by uniform noise (B,), neither rejected nor unlikely.
+def _allowed(probabilities: Tensor, rejected: Tensor, useless: Tensor, opens: Tensor, *, least: float) -> Tensor:
+    """Returns the probabilities (B, K) of what may be drawn; their sum is 1.
 
-    If the others than the rejected ones (B, K) are together less probable than ``least``, the hand lets go: one of
-    those that open it, (K,) bool, is drawn. Unlikely ones are below ``least``.
+    That is what is not rejected; if it is less probable than ``least``, what is not useless with the present grip; if
+    that is improbable too, what opens the hand, (K,) bool. Rejected and useless (B, K) are as in `repeats_failure`.
     """
-    allowed = probabilities.masked_fill(rejected, 0.0)
-    released = allowed * opens
-    allowed = torch.where(allowed.sum(dim=-1, keepdim=True) < least, released, allowed)
+    new, other = probabilities.masked_fill(rejected, 0.0), probabilities.masked_fill(useless, 0.0)
+    likely = [part.sum(dim=-1, keepdim=True) >= least for part in (new, other)]
+    allowed = torch.where(likely[0], new, torch.where(likely[1], other, probabilities * opens))
     allowed = torch.where(allowed.sum(dim=-1, keepdim=True) > 0.0, allowed, probabilities)
-    probabilities = allowed / allowed.sum(dim=-1, keepdim=True)
+    return allowed / allowed.sum(dim=-1, keepdim=True)
+
+
+def _draw(probabilities: Tensor, noise: Tensor, least: float) -> Tensor:
+    """Draws indices (B,) from probabilities (B, K) by uniform noise (B,), after masking those below ``least``."""
     unlikely = (probabilities < least) & (probabilities < probabilities.amax(dim=-1, keepdim=True))
     cumulative = probabilities.masked_fill(unlikely, 0.0).cumsum(dim=-1)
     draw = noise[:, None].to(cumulative.dtype) * cumulative[:, -1:]

@@ -92,32 +92,34 @@ class ToolDiffusionHead(DiffusionHead):
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
 
         A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times. If all do, the first one
-        counts; but a hand that would repeat a failure lets go.
+        counts; but if all are useless with the present grip, the hand lets go.
         """
         condition = self.condition(model, window)
         chunks, usable, useless = self._draw(model, window, condition, noise)
         for _ in range(self.config.num_draws - 1):
             if bool(usable.all()):
                 break
-            others, fits, repeats = self._draw(model, window, condition, None)
-            chunks = torch.where((fits & ~usable)[:, None, None], others, chunks)
-            usable, useless = usable | fits, useless & repeats
+            others, fits, again = self._draw(model, window, condition, None)
+            better = (fits & ~usable) | (useless & ~again)
+            chunks = torch.where(better[:, None, None], others, chunks)
+            usable, useless = usable | fits, useless & again
         released = with_gripper(tool_of(window), 1.0)[:, None]
-        return torch.where((useless & ~usable)[:, None, None], released, chunks)
+        return torch.where(useless[:, None, None], released, chunks)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, noise: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and useless if drawn again.
+        """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and whether useless (B,).
 
-        Useless are motions of a closed hand that has failed with them, or that holds nothing, (B,).
+        Useless are motions of a closed hand that have failed with its grip, or for which it has none.
         """
         chunk = self.decode(self.denoise(model, condition, noise), window)
         tool = tool_of(window)
         motion = tool_frame.motion_between(chunk[:, 0], tool)
         index = model.motions.nearest(motion)
         first, held = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
-        useless = model.motions.without_grip(index[:, None], tool)[:, 0]
+        rejected = useless = model.motions.without_grip(index[:, None], tool)[:, 0]
         if model.memory is not None and self.config.avoid_repeats:
-            useless = useless | past_of(window).repeats(motion[:, None])[:, 0]
-        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~useless, useless
+            failed, failed_now = (part[:, 0] for part in past_of(window).repeats(motion[:, None]))
+            rejected, useless = rejected | failed, useless | failed_now
+        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, useless

@@ -43,8 +43,8 @@ class Past:
         """Returns `events` (B, H, 16)."""
         return events(self.commands, self.poses, self.valid, feedback=feedback)
 
-    def repeats(self, motions: Tensor) -> Tensor:
-        """Returns which motions (B, K, 7) would repeat a failure, (B, K)."""
+    def repeats(self, motions: Tensor) -> tuple[Tensor, Tensor]:
+        """Returns which motions (B, K, 7) would repeat a failure, or one of this grip: `repeats_failure`."""
         return repeats_failure(self.commands, self.poses, self.valid, self.contact, motions)
 
 

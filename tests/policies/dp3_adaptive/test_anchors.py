@@ -248,20 +248,20 @@ def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchor
 # Rejected anchors ---------------------------------------------------------------------------------------------------
 
 
-def test_rejected_anchors_are_drawn_only_if_nothing_else_is_done_and_the_hand_cannot_let_go() -> None:
-    least, noise, cases = 0.03, torch.linspace(0, 1 - 1e-6, 500), set()
-    for _ in range(120):
-        probabilities, rejected, opens = (4 * torch.randn(5)).softmax(dim=0), torch.rand(5) < 0.6, torch.rand(5) < 0.3
-        drawn = anchors._draw(probabilities.expand(500, 5), rejected.expand(500, 5), opens, noise, least)
-        rest = probabilities * ~rejected
-        likely, releases = bool(rest.sum() >= least), bool((rest * opens).any())
-        wanted = rest if likely else rest * opens if releases else probabilities
-        wanted = wanted / wanted.sum()
-        wanted[(wanted < least) & (wanted < wanted.max())] = 0
-        share = torch.bincount(drawn, minlength=5) / 500
-        torch.testing.assert_close(share, wanted / wanted.sum(), rtol=0, atol=0.005)
-        cases.add((likely, releases))
-    assert len(cases) == 4
+def test_what_is_new_is_drawn_else_what_another_grip_failed_at_else_the_hand_lets_go() -> None:
+    least, cases = 0.03, set()
+    for _ in range(300):
+        probabilities, opens = (4 * torch.randn(5)).softmax(dim=0), torch.rand(5) < 0.3
+        rejected = torch.rand(5) < 0.8
+        useless = rejected & (torch.rand(5) < 0.8)
+        new, other, releases = probabilities * ~rejected, probabilities * ~useless, probabilities * opens
+        case = [bool(new.sum() >= least), bool(other.sum() >= least), bool(releases.any()), True].index(True)
+        wanted = (new, other, releases, probabilities)[case]
+        given = (part[None] for part in (probabilities, rejected, useless))
+        allowed = anchors._allowed(*given, opens, least=least)[0]
+        torch.testing.assert_close(allowed, wanted / wanted.sum())
+        cases.add(case)
+    assert cases == {0, 1, 2, 3}
 
 
 def test_an_empty_closed_hand_opens_or_pushes_where_demonstrations_do(make_anchors: MakeTiny, batch_of: Any) -> None:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from lerobot.configs.policies import PreTrainedConfig
 from safetensors import safe_open
 
+from lerobot_adamanip.util.errors import AdaManipError
+
+CHECKPOINT = Path(__file__).parents[1] / "demo_checkpoint"
 FAMILIES = {
     "lock": "safe", "turn to open": "door", "rotate and slide": "bottle", "push or rotate": "lamp",
     "rotation direction": "pressure_cooker", "switch and contact": "coffee_maker",
@@ -84,3 +89,27 @@ def test_what_was_shown_is_opened(category: str, tmp_path: Path) -> None:
     episodes = [json.loads(line) for line in log.read_text().splitlines()][:10]
     opened = sum(episode["success"] for episode in episodes)
     assert opened >= 8, [(episode["hidden_state"], episode["success"]) for episode in episodes]
+
+
+@pytest.mark.sim
+def test_published_weights_still_open_safes(tmp_path: Path) -> None:
+    """An upgrade that changes what saved weights do is seen here; how they were made: demo_checkpoint/README.md."""
+    log = tmp_path / "log.jsonl"
+    run(
+        *("lerobot.scripts.lerobot_eval", f"--policy.path={CHECKPOINT}", "--policy.device=cpu"),
+        *("--env.type=adamanip_safe", "--env.objects=0:4", "--env.split=validation", "--env.observe_images=false"),
+        *(f"--env.episode_log={log}", "--eval.n_episodes=10", "--eval.batch_size=1", "--eval.use_async_envs=false"),
+        f"--output_dir={tmp_path / 'eval'}",
+    )
+    episodes = [json.loads(line) for line in log.read_text().splitlines()]
+    assert len(episodes) == 10
+    assert sum(episode["success"] for episode in episodes) >= 9
+    assert any(fails for episode in episodes for *_, fails in episode["try_sequence"])
+
+
+def test_a_checkpoint_of_before_is_refused(refuses: Callable[..., str], tmp_path: Path) -> None:
+    saved = json.loads((CHECKPOINT / "config.json").read_text())
+    (tmp_path / "config.json").write_text(json.dumps({**saved, "tcp_relative": True}))
+    message = refuses(AdaManipError, lambda: PreTrainedConfig.from_pretrained(tmp_path))
+    assert "before 0.3" in message
+    assert "train again" in message
