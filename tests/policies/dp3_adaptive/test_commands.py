@@ -9,10 +9,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from lerobot.configs.policies import PreTrainedConfig
 from safetensors import safe_open
 
 from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_policy_adamanip import DP3AdaptiveConfig
 
 CHECKPOINT = Path(__file__).parents[1] / "demo_checkpoint"
 FAMILIES = {
@@ -110,6 +110,6 @@ def test_published_weights_still_open_safes(tmp_path: Path) -> None:
 def test_a_checkpoint_of_before_is_refused(refuses: Callable[..., str], tmp_path: Path) -> None:
     saved = json.loads((CHECKPOINT / "config.json").read_text())
     (tmp_path / "config.json").write_text(json.dumps({**saved, "tcp_relative": True}))
-    message = refuses(AdaManipError, lambda: PreTrainedConfig.from_pretrained(tmp_path))
+    message = refuses(AdaManipError, lambda: DP3AdaptiveConfig.from_pretrained(tmp_path))
     assert "before 0.3" in message
     assert "train again" in message
