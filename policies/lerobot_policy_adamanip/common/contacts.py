@@ -17,8 +17,6 @@ from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
-BLOCKED_SHARE = 0.25
-"""A motion of which a smaller share was done has failed; one that was done in part may go on."""
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
 
@@ -62,11 +60,11 @@ class ContactMemory(nn.Module):
 
 
 def repeats_failure(
-    commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor
+    commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor, *, failed_below: float
 ) -> tuple[Tensor, Tensor]:
     """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, twice (B, K) bool.
 
-    An event failed if less than `BLOCKED_SHARE` of its motion was done, or if the hand lost its grip. The first result
+    An event failed if less than ``failed_below`` of its motion was done, or if the hand lost its grip. The first result
     is about failures since something has moved, the second about those of the present grip: since the hand was open,
     too. Motions are compared in the base frame, whichever way a part is held. ``contact`` comes from `contact_events`,
     whose arguments the others are.
@@ -74,7 +72,7 @@ def repeats_failure(
     tool, reached = poses[:, :-1], poses[:, 1:]
     sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
     lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
-    failed = contact & (lost | (undone.norm(dim=-1) > (1 - BLOCKED_SHARE) * sent.norm(dim=-1)))
+    failed = contact & (lost | (undone.norm(dim=-1) > (1 - failed_below) * sent.norm(dim=-1)))
     near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
     past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
     same = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1) > SAME_DIRECTION

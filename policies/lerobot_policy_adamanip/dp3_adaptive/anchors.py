@@ -56,7 +56,7 @@ class AnchorNetwork(nn.Module):
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         super().__init__()
-        self.motions = TypicalMotions(config.num_anchors)
+        self.motions = TypicalMotions(config.num_anchors, config.refinement_spread)
         self.encoder = make_encoder(
             config.encoder, POINT_DIM, config.encoder_dims, config.encoder_out_dim, config.num_points
         )
@@ -130,7 +130,7 @@ class AnchorHead:
         if added is not None:
             logits = logits + added.float()
             if self.config.avoid_repeats:
-                failed, failed_now = past.repeats(drawn)
+                failed, failed_now = past.repeats(drawn, self.config.failed_below)
                 rejected, useless = rejected | failed, useless | failed_now
         opens = motions.anchors[:, -1] >= CLOSED
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)

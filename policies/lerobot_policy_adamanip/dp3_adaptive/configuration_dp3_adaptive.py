@@ -78,6 +78,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     memory_dim: int = from_preset()
     # Do not repeat a failed motion of a closed hand until something has moved (fast True, diffusion True).
     avoid_repeats: bool = from_preset()
+    # A motion of which less than this share was done has failed (fast 0.25, diffusion 0.25).
+    failed_below: float = from_preset()
     # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
     # end, a motion of an empty closed hand, or (diffusion) a repeated failure (fast 4, diffusion 8).
     num_draws: int = from_preset()
@@ -96,6 +98,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     refinement_points: int = from_preset()
     # Largest shift by refinement; a pose that would shift further has nothing to hold [m] (fast 0.1, diffusion 0.1).
     refinement_reach: float = from_preset()
+    # Approaches are refined if the end points of their kind spread by more [m] (fast 0.006, diffusion 0.006).
+    refinement_spread: float = from_preset()
     # Training only: size of a random subset of coarse_points (fast 320, diffusion 320).
     training_points: int = from_preset()
     # Training only: standard deviation of noise on points [m] (fast 0.002, diffusion 0.002).

@@ -11,9 +11,8 @@ from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
 
-GRIPPER_OPEN_MIN, MIN_TRANSLATION_M, MIN_ENDPOINT_SPREAD_M = 0.5, 0.02, 0.006
-"""Bounds of `TypicalMotions.needs_refinement`. Last approaches spread by 8 mm or more, because pre-grasps differ;
-motions that back off from a grasp spread by 5 mm."""
+GRIPPER_OPEN_MIN, MIN_TRANSLATION_M = 0.5, 0.02
+"""Bounds of approaches in `TypicalMotions.needs_refinement`."""
 MIN_EMPTY_SHARE = 0.05
 """Least share of a motion's demonstrations that start with an empty closed hand, for such a hand to do it."""
 
@@ -31,8 +30,9 @@ class TypicalMotions(nn.Module):
     spread: Tensor
     from_empty: Tensor
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, refinement_spread: float) -> None:
         super().__init__()
+        self.refinement_spread = refinement_spread
         self.register_buffer("anchors", torch.zeros(count, tool_frame.MOTION_DIM))
         self.register_buffer("spread", torch.zeros(count, tool_frame.MOTION_DIM))
         self.register_buffer("from_empty", torch.ones(count, dtype=torch.bool))
@@ -52,12 +52,12 @@ class TypicalMotions(nn.Module):
         return difference.square().sum(dim=-1).argmin(dim=-1)
 
     def needs_refinement(self, index: Tensor) -> Tensor:
-        """Returns whether anchors (...) are approaches of an open hand with a varying end point.
+        """Returns whether anchors (...) are approaches of an open hand whose end points vary.
 
         A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
         """
         approaches = (self.anchors[:, -1] > GRIPPER_OPEN_MIN) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
-        varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
+        varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > self.refinement_spread)
         return varying[index]
 
     def without_grip(self, index: Tensor, tool: Tensor) -> Tensor:

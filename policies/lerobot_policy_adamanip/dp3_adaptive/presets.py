@@ -9,9 +9,9 @@ TOOL: dict[str, Any] = {
     "num_points": 1024, "encoder": "mlp", "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
     "coarse_points": 512, "training_points": 320, "point_noise_std": 0.002,
     "n_obs_steps": 1, "n_action_history_steps": 16, "n_action_steps": 1,
-    "memory_dim": 64, "use_feedback": True, "avoid_repeats": True, "num_draws": 4,
+    "memory_dim": 64, "use_feedback": True, "avoid_repeats": True, "failed_below": 0.25, "num_draws": 4,
     "num_anchors": 32, "num_refinements": 3, "refinement_points": 128, "refinement_reach": 0.1,
-    "scheduler_warmup_steps": 100,
+    "refinement_spread": 0.006, "scheduler_warmup_steps": 100,
 }  # fmt: skip
 """What both heads in the tool's frame use, at a size for two CPU cores."""
 DENOISING: dict[str, Any] = {

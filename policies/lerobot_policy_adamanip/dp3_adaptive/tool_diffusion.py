@@ -37,7 +37,7 @@ class ToolDenoiser(Denoiser):
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         memory = config.memory_dim if config.n_action_history_steps else 0
         super().__init__(config, POINT_DIM, config.encoder_out_dim + body_dim(config) + memory)
-        self.motions = TypicalMotions(config.num_anchors)
+        self.motions = TypicalMotions(config.num_anchors, config.refinement_spread)
         self.memory = ContactMemory(config.memory_dim) if memory else None
         self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
 
@@ -120,6 +120,7 @@ class ToolDiffusionHead(DiffusionHead):
         first, held = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
         rejected = useless = model.motions.without_grip(index[:, None], tool)[:, 0]
         if model.memory is not None and self.config.avoid_repeats:
-            failed, failed_now = (part[:, 0] for part in past_of(window).repeats(motion[:, None]))
+            found = past_of(window).repeats(motion[:, None], self.config.failed_below)
+            failed, failed_now = (part[:, 0] for part in found)
             rejected, useless = rejected | failed, useless | failed_now
         return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, useless

@@ -43,9 +43,10 @@ class Past:
         """Returns `events` (B, H, 16)."""
         return events(self.commands, self.poses, self.valid, feedback=feedback)
 
-    def repeats(self, motions: Tensor) -> tuple[Tensor, Tensor]:
+    def repeats(self, motions: Tensor, failed_below: float) -> tuple[Tensor, Tensor]:
         """Returns which motions (B, K, 7) would repeat a failure, or one of this grip: `repeats_failure`."""
-        return repeats_failure(self.commands, self.poses, self.valid, self.contact, motions)
+        past = (self.commands, self.poses, self.valid, self.contact)
+        return repeats_failure(*past, motions, failed_below=failed_below)
 
 
 def past_of(window: Window) -> Past:
