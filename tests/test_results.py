@@ -260,5 +260,7 @@ def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> N
     page = module.documents(tmp_path, {CODE.episodes})[module.PAGE]
     assert page.startswith(alone)
     assert "\n## Benchmark, scale cpu\n" in page
-    assert re.search(r"^\| safe \| dp3_adaptive \| \d/5: \d+ % \[.*\] ‡ \|", page, re.MULTILINE), "of other options"
+    assert re.search(r"^\| safe \| dp3_adaptive \(anchors\) \| \d/5: \d+ % \[.*\] ‡ \|", page, re.MULTILINE), (
+        "of other options"
+    )
     assert "| bottle | dp3_adaptive | not run | not run | 95.1 ± 9.7 |" in page

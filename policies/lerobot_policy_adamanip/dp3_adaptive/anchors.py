@@ -126,7 +126,7 @@ class AnchorHead:
         tool, motions = tool_of(window), model.motions
         logits, residuals, added, past = self.predict(model, window)
         logits, drawn = logits.float(), motions.anchors + residuals.float() * motions.spread
-        rejected = useless = motions.without_grip(torch.arange(logits.shape[1], device=logits.device), tool)
+        rejected = useless = motions.never_shown(torch.arange(logits.shape[1], device=logits.device), tool)
         if added is not None:
             logits = logits + added.float()
             if self.config.avoid_repeats:

@@ -14,6 +14,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
 from lerobot_policy_adamanip.dp3_adaptive.presets import CHOICES, COUNTS, FIXED, OPTIONS, PRESETS
 
+SHARES = ("augmentation_mirror", "failed_below", "min_probability")
 SIZES = (*COUNTS, "down_dims", "n_groups", "kernel_size", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
@@ -81,7 +82,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # A motion of which less than this share was done has failed (fast 0.25, diffusion 0.25).
     failed_below: float = from_preset()
     # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
-    # end, a motion of an empty closed hand, or (diffusion) a repeated failure (fast 4, diffusion 8).
+    # end, a motion that was never shown with such a hand, or (diffusion) a repeated failure (fast 4, diffusion 8).
     num_draws: int = from_preset()
     # Least probability of an anchor; less probable ones are not drawn (fast 0.03).
     min_probability: float = from_preset()
@@ -165,12 +166,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     def check(self) -> None:
         """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
         if self.tcp_relative is not None:
-            raise self._error(
-                "This is an option or a checkpoint of a version before 0.3, whose networks differ.",
-                ("tcp_relative",),
-                "checkpoints that this version has trained",
-                "train again with this version, or install lerobot_env_adamanip 0.2 for this checkpoint",
-            )
+            what = "This is an option or a checkpoint of a version before 0.3, whose networks differ."
+            hint = "train again with this version, or install lerobot_env_adamanip 0.2 for this checkpoint"
+            raise self._error(what, ("tcp_relative",), "checkpoints that this version has trained", hint)
         self._take_preset()
         for name, choices in CHOICES.items():
             if self.uses(name):
@@ -230,8 +228,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 f"num_refinements >= 0, num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
                 f"--policy.preset={self.preset}, and none of these",
             )
-        if not 0.0 <= self.augmentation_mirror <= 1.0:
-            raise self._error("Not a share of scenes.", ("augmentation_mirror",), "0 to 1", "a share of 0.5")
+        shares = tuple(name for name in SHARES if not 0.0 <= (getattr(self, name) or 0.0) <= 1.0)
+        if shares:
+            raise self._error("Not a share.", shares, "0 to 1", f"--policy.{shares[0]}=0.5")
 
     def _check_horizon(self) -> None:
         factor = 2 ** (len(self.down_dims or ()) - 1) if self.head == "diffusion" else 1

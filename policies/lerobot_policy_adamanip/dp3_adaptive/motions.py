@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND
+from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
@@ -13,8 +14,8 @@ from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
 
 GRIPPER_OPEN_MIN, MIN_TRANSLATION_M = 0.5, 0.02
 """Bounds of approaches in `TypicalMotions.needs_refinement`."""
-MIN_EMPTY_SHARE = 0.05
-"""Least share of a motion's demonstrations that start with an empty closed hand, for such a hand to do it."""
+MIN_SHARE = 0.05
+"""Least share of a motion's demonstrations that start with a hand in some state, for such a hand to do it."""
 
 
 class TypicalMotions(nn.Module):
@@ -23,28 +24,28 @@ class TypicalMotions(nn.Module):
     Attributes:
         anchors: (K, 7) motions in the tool's frame [m, rad, -].
         spread: (K, 7) standard deviations; zero before `fit`.
-        from_empty: (K,) bool, whether an empty closed hand may do it.
+        starts: (K, 3) bool, whether a hand that is closed and empty, that holds something, or that is open may do it.
     """
 
     anchors: Tensor
     spread: Tensor
-    from_empty: Tensor
+    starts: Tensor
 
     def __init__(self, count: int, refinement_spread: float) -> None:
         super().__init__()
         self.refinement_spread = refinement_spread
         self.register_buffer("anchors", torch.zeros(count, tool_frame.MOTION_DIM))
         self.register_buffer("spread", torch.zeros(count, tool_frame.MOTION_DIM))
-        self.register_buffer("from_empty", torch.ones(count, dtype=torch.bool))
+        self.register_buffer("starts", torch.ones(count, 3, dtype=torch.bool))
 
     def fit(self, motions: Tensor, openings: Tensor) -> None:
         """Fits the anchors to demonstrated motions (M, 7), of hands with measured openings (M,) at their start."""
         anchors, spread = cluster_motions(motions.numpy(), len(self.anchors))
         self.anchors.copy_(anchors)
         self.spread.copy_(spread)
-        starts = torch.zeros(len(anchors)).index_add(0, self.nearest(motions), (openings < EMPTY_HAND).float())
-        count = torch.zeros(len(anchors)).index_add(0, self.nearest(motions), torch.ones(len(motions)))
-        self.from_empty.copy_((anchors[:, -1] >= CLOSED) | (starts > MIN_EMPTY_SHARE * count))
+        shown = F.one_hot(self.nearest(motions), len(anchors)).float().T @ F.one_hot(_state(openings), 3).float()
+        self.starts.copy_(shown > MIN_SHARE * shown.sum(dim=1, keepdim=True))
+        self.starts[:, 0] |= anchors[:, -1] >= CLOSED
 
     def nearest(self, motion: Tensor) -> Tensor:
         """Returns the index (...) of the nearest anchor of each motion (..., 7)."""
@@ -60,9 +61,15 @@ class TypicalMotions(nn.Module):
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > self.refinement_spread)
         return varying[index]
 
-    def without_grip(self, index: Tensor, tool: Tensor) -> Tensor:
-        """Returns whether empty closed hands (B, 10) would act as if they held something, by anchors (B, K), (B, K).
+    def never_shown(self, index: Tensor, tool: Tensor) -> Tensor:
+        """Returns whether demonstrations never do anchors (B, K) with a hand in the state of the tools (B, 10), (B, K).
 
-        An empty hand has to open, or to push where demonstrations do.
+        A hand that is empty, that holds something, or that is open does what demonstrations do in this state; an empty
+        one may also open.
         """
-        return (tool[:, GRIPPER_DIM] < EMPTY_HAND)[:, None] & ~self.from_empty[index]
+        return ~self.starts[index, _state(tool[:, GRIPPER_DIM])[:, None]]
+
+
+def _state(opening: Tensor) -> Tensor:
+    """Returns 0 for hands that are closed and empty, 1 for those that hold something, 2 for open ones, (...)."""
+    return (opening >= EMPTY_HAND).long() + (opening > OPEN_HAND).long()

@@ -118,7 +118,7 @@ class ToolDiffusionHead(DiffusionHead):
         motion = tool_frame.motion_between(chunk[:, 0], tool)
         index = model.motions.nearest(motion)
         first, held = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
-        rejected = useless = model.motions.without_grip(index[:, None], tool)[:, 0]
+        rejected = useless = model.motions.never_shown(index[:, None], tool)[:, 0]
         if model.memory is not None and self.config.avoid_repeats:
             found = past_of(window).repeats(motion[:, None], self.config.failed_below)
             failed, failed_now = (part[:, 0] for part in found)

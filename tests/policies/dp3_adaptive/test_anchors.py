@@ -90,7 +90,7 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
 def test_what_is_unlikely_is_never_drawn(make_anchors: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_anchors(num_refinements=0)
     window, *_ = policy.training_window(batch_of(dataset, before, *[3] * 50))
-    policy.model.motions.from_empty[:] = True
+    policy.model.motions.starts[:] = True
     likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0])
     policy.head.predict = lambda *_: (likely.log().expand(50, 6), torch.zeros(50, 6, 7), None, None)
     noise = torch.linspace(0, 1 - 1e-6, 50)
@@ -264,20 +264,22 @@ def test_what_is_new_is_drawn_else_what_another_grip_failed_at_else_the_hand_let
     assert cases == {0, 1, 2, 3}
 
 
-def test_an_empty_closed_hand_opens_or_pushes_where_demonstrations_do(make_anchors: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_anchors(num_anchors=3, num_refinements=0, n_action_history_steps=0)
+def test_a_hand_does_what_was_shown_in_its_state_and_an_empty_one_may_open(
+    make_anchors: MakeTiny, batch_of: Any
+) -> None:
+    policy, before, _, dataset = make_anchors(num_anchors=4, num_refinements=0, n_action_history_steps=0)
     opens, pulls, pushes = torch.eye(7)[6], -0.05 * torch.eye(7)[2], 0.05 * torch.eye(7)[2]
-    shown = torch.stack([opens, pulls, pushes]).repeat(100, 1)
-    openings = torch.full((300,), 0.3)
-    openings[1:12:3] = 0.0  # 4 of 100 pulls: a grip that was lost
-    openings[2:20:3] = 0.0  # 6 of 100 pushes
-    policy.fit_anchors(shown, openings)
+    shown = torch.stack([opens, pulls, pushes, torch.zeros(7)])
+    openings = torch.tensor([0.3, 0.3, 0.3, 1.0]).repeat(100)
+    openings[1:16:4] = 0.0  # 4 of 100 pulls: a grip that was lost
+    openings[2:24:4] = 0.0  # 6 of 100 pushes
+    policy.fit_anchors(shown.repeat(100, 1), openings)
     motions = policy.model.motions
-    kinds = motions.nearest(torch.stack([opens, pulls, pushes]))
-    assert motions.from_empty[kinds].tolist() == [True, False, True]
+    kinds = motions.nearest(shown)
+    assert motions.starts[kinds, 0].tolist() == [True, False, True, False]
     window, *_ = policy.training_window(batch_of(dataset, before, *[6] * 60))
-    policy.head.predict = lambda *_: (torch.zeros(60, 3), torch.zeros(60, 3, 7), None, None)
-    for opening, allowed in ((0.0, {0, 2}), (0.3, {0, 1, 2}), (1.0, {0, 1, 2})):
+    policy.head.predict = lambda *_: (torch.zeros(60, 4), torch.zeros(60, 4, 7), None, None)
+    for opening, allowed in ((0.0, {0, 2}), (0.3, {0, 1, 2}), (1.0, {3})):
         window.observations[schema.STATE][..., 9] = opening
         drawn = policy.head.sample(policy.model, window, torch.linspace(0, 0.99, 60))[:, 0]
         found = motions.nearest(motion_between(drawn, window.observations[schema.STATE][:, -1, :10]))
