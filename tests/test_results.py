@@ -238,11 +238,14 @@ def test_other_experts_leave_the_results_of_policies_what_they_were(monkeypatch:
 def test_the_readme_leaves_to_the_page_what_is_no_result_of_the_papers_rules() -> None:
     """Other rules, scenes that policies are chosen by, and experts once a policy was measured."""
     hard = result(rows=(row("adaptive", "lamp", "seen", (7, 20), 6.3, preset="hard"),))
-    for other in (hard, result(kind="policy", scenes="validation")):
+    chosen_by, policy = ({"one.json": result(kind="policy", scenes=scenes)} for scenes in ("validation", "test"))
+    for other in (hard, chosen_by["one.json"]):
         page = results_page({"one.json": other}, {NOW})
         assert other.rows[0].metrics.show("success").partition(":")[0] in page
-        assert readme_block({"one.json": other}, {NOW}) == readme_block({}, {NOW})
-    experts, policy = {"experts.json": result()}, {"policy.json": result(kind="policy", scenes="test")}
+    assert readme_block({"one.json": hard}, {NOW}) == readme_block({}, {NOW})
+    assert "(validation scenes" in readme_block(chosen_by, {NOW})
+    assert readme_block({"two.json": chosen_by["one.json"], **policy}, {NOW}) == readme_block(policy, {NOW})
+    experts = {"experts.json": result()}
     assert "novel objects" in readme_block(experts, {NOW})
     assert readme_block({**experts, **policy}, {NOW}) == readme_block(policy, {NOW})
 

@@ -60,11 +60,12 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
 def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
     """Returns the README block with both markers: results of the paper's preset with the present fingerprint.
 
-    Policy selection used the validation scenes, so the block omits them. It also omits experts once a policy has
-    results. A single number gets no table.
+    Policy selection used the validation scenes, so the block omits them once test scenes have results. It also omits
+    experts once a policy has results. A single number gets no table.
     """
-    known = (result for result in results.values() if result.fingerprint in present and result.scenes != "validation")
+    known = (result for result in results.values() if result.fingerprint in present)
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
+    fresh = [result for result in fresh if result.scenes != "validation"] or fresh
     by_kind = {kind: [result for result in fresh if result.kind == kind] for kind in ("policy", "expert")}
     parts = [START]
     for result in by_kind["policy"] or by_kind["expert"]:
