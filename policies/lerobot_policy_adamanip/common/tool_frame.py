@@ -46,38 +46,44 @@ def _in_float32(function: Callable[[Tensor, Tensor], Tensor]) -> Callable[[Tenso
 @_in_float32
 def motion_between(pose: Tensor, tool: Tensor) -> Tensor:
     """Returns the motions (..., 7) to poses (..., 10) in the frames of tool poses (..., 10), broadcast."""
-    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
-    moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
-    turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
-    gripper = pose[..., GRIPPER_DIM : GRIPPER_DIM + 1].expand(*turned.shape[:-2], 1)
-    return torch.cat([moved.squeeze(-2), rotation_vector(turned), gripper], dim=-1)
+    shift, turn = _seen_from(tool, pose)
+    gripper = pose[..., GRIPPER_DIM : GRIPPER_DIM + 1].expand(*turn.shape[:-2], 1)
+    return torch.cat([shift, rotation_vector(turn), gripper], dim=-1)
 
 
 @_in_float32
 def pose_after(motion: Tensor, tool: Tensor) -> Tensor:
     """Inverts `motion_between`: motions (..., 7) from tool poses (..., 10) -> poses (..., 10)."""
-    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
-    position = tool[..., POSITION_DIMS] + (frame @ motion[..., :3, None]).squeeze(-1)
-    rotation = frame @ matrix_from_rotation_vector(motion[..., 3:6])
-    return torch.cat([position, rotation[..., :2, :].flatten(-2), motion[..., 6:7]], dim=-1)
+    turn = matrix_from_rotation_vector(motion[..., 3:6])
+    return _seen_from_base(tool, motion[..., :3], turn, motion[..., 6:7])
 
 
 @_in_float32
 def relative_poses(pose: Tensor, tool: Tensor) -> Tensor:
     """Returns poses (..., 10) in the frames of tool poses (..., 10), broadcast; the gripper stays."""
-    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
-    moved = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
-    turned = frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
-    return torch.cat([moved.squeeze(-2), turned[..., :2, :].flatten(-2), pose[..., GRIPPER_DIM:]], dim=-1)
+    shift, turn = _seen_from(tool, pose)
+    return torch.cat([shift, turn[..., :2, :].flatten(-2), pose[..., GRIPPER_DIM:]], dim=-1)
 
 
 @_in_float32
 def absolute_poses(relative: Tensor, tool: Tensor) -> Tensor:
     """Inverts `relative_poses`."""
+    turn = matrix_from_6d(relative[..., ROTATION_DIMS])
+    return _seen_from_base(tool, relative[..., POSITION_DIMS], turn, relative[..., GRIPPER_DIM:])
+
+
+def _seen_from(tool: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+    """Returns positions (..., 3) and rotation matrices (..., 3, 3) of poses (..., 10) in the frames of tools."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
-    position = tool[..., POSITION_DIMS] + (frame @ relative[..., POSITION_DIMS, None]).squeeze(-1)
-    turned = frame @ matrix_from_6d(relative[..., ROTATION_DIMS])
-    return torch.cat([position, turned[..., :2, :].flatten(-2), relative[..., GRIPPER_DIM:]], dim=-1)
+    shift = (pose[..., POSITION_DIMS] - tool[..., POSITION_DIMS])[..., None, :] @ frame
+    return shift.squeeze(-2), frame.transpose(-1, -2) @ matrix_from_6d(pose[..., ROTATION_DIMS])
+
+
+def _seen_from_base(tool: Tensor, shift: Tensor, turn: Tensor, gripper: Tensor) -> Tensor:
+    """Returns poses (..., 10) from positions, rotation matrices and grippers seen from tools."""
+    frame = matrix_from_6d(tool[..., ROTATION_DIMS])
+    position = tool[..., POSITION_DIMS] + (frame @ shift[..., None]).squeeze(-1)
+    return torch.cat([position, (frame @ turn)[..., :2, :].flatten(-2), gripper], dim=-1)
 
 
 def reverse(motion: Tensor) -> Tensor:

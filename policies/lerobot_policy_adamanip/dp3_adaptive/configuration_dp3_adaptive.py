@@ -79,7 +79,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     memory_dim: int = from_preset()
     # Do not repeat a failed motion of a closed hand until something has moved (fast True, diffusion True).
     avoid_repeats: bool = from_preset()
-    # A motion of which less than this share was done has failed (fast 0.25, diffusion 0.25).
+    # A motion has failed if the arm did less than this share of it (fast 0.25, diffusion 0.25).
     failed_below: float = from_preset()
     # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
     # end, a motion that was never shown with such a hand, or (diffusion) a repeated failure (fast 4, diffusion 8).

@@ -111,8 +111,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
         if self.config.augmentation_mirror:
             motions, openings = torch.cat([motions, mirrored_motions(motions)]), openings.repeat(2)
-        for model in (self.model, self.ema_model):
-            model.motions.fit(motions, openings)
+        self.model.motions.fit(motions, openings)
+        self.ema_model.motions.load_state_dict(self.model.motions.state_dict())
 
     # Training ---------------------------------------------------------------------------------------------------
 

@@ -12,8 +12,8 @@ from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
 
-GRIPPER_OPEN_MIN, MIN_TRANSLATION_M = 0.5, 0.02
-"""Bounds of approaches in `TypicalMotions.needs_refinement`."""
+MIN_TRANSLATION_M = 0.02
+"""Least length of an approach that is refined."""
 MIN_SHARE = 0.05
 """Least share of a motion's demonstrations that start with a hand in some state, for such a hand to do it."""
 
@@ -57,7 +57,7 @@ class TypicalMotions(nn.Module):
 
         A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
         """
-        approaches = (self.anchors[:, -1] > GRIPPER_OPEN_MIN) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        approaches = (self.anchors[:, -1] > CLOSED) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > self.refinement_spread)
         return varying[index]
 

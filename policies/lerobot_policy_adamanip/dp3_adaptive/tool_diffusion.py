@@ -19,6 +19,7 @@ from lerobot_policy_adamanip.dp3_adaptive.motions import TypicalMotions
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
+    Past,
     body_dim,
     body_inputs,
     past_of,
@@ -94,12 +95,12 @@ class ToolDiffusionHead(DiffusionHead):
         A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times. If all do, the first one
         counts; but if all are useless with the present grip, the hand lets go.
         """
-        condition = self.condition(model, window)
-        chunks, usable, useless = self._draw(model, window, condition, noise)
+        condition, past = self.condition(model, window), past_of(window)
+        chunks, usable, useless = self._draw(model, window, condition, past, noise)
         for _ in range(self.config.num_draws - 1):
             if bool(usable.all()):
                 break
-            others, fits, again = self._draw(model, window, condition, None)
+            others, fits, again = self._draw(model, window, condition, past, None)
             better = (fits & ~usable) | (useless & ~again)
             chunks = torch.where(better[:, None, None], others, chunks)
             usable, useless = usable | fits, useless & again
@@ -107,7 +108,7 @@ class ToolDiffusionHead(DiffusionHead):
         return torch.where(useless[:, None, None], released, chunks)
 
     def _draw(
-        self, model: ToolDenoiser, window: Window, condition: Tensor, noise: Tensor | None
+        self, model: ToolDenoiser, window: Window, condition: Tensor, past: Past, noise: Tensor | None
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and whether useless (B,).
 
@@ -120,7 +121,7 @@ class ToolDiffusionHead(DiffusionHead):
         first, held = refine(self.config, model.refiner, model.motions.needs_refinement(index), window, chunk[:, 0])
         rejected = useless = model.motions.never_shown(index[:, None], tool)[:, 0]
         if model.memory is not None and self.config.avoid_repeats:
-            found = past_of(window).repeats(motion[:, None], self.config.failed_below)
+            found = past.repeats(motion[:, None], self.config.failed_below)
             failed, failed_now = (part[:, 0] for part in found)
             rejected, useless = rejected | failed, useless | failed_now
         return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, useless

@@ -154,7 +154,7 @@ def test_the_first_frame_cannot_see_its_label(make_anchors: MakeTiny, batch_of: 
 # What it remembers --------------------------------------------------------------------------------------------------
 
 LIFTS = torch.tensor([0.02, -0.02, 0.05])
-"""Three ways to move what is held, which nothing to be seen tells apart [m]."""
+"""Three motions of a held part [m]. The observation does not show which one will work."""
 
 
 def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:

@@ -121,5 +121,5 @@ def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
     found = _less_turned(grasp, home, home)
     torch.testing.assert_close(found[:2], grasp[:2])
     torch.testing.assert_close(motion_between(found, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
-    # A hand that has been turned goes on to what was chosen, as demonstrations do.
+    # If the chosen pose is turned too, it is kept, as in demonstrations.
     torch.testing.assert_close(_less_turned(grasp, grasp, home), grasp)

@@ -1,4 +1,4 @@
-"""Diffusion in the tool's frame: what is denoised, what it is conditioned on, and which chunks are drawn again."""
+"""Diffusion in the tool's frame: encoding, condition, and redraws of chunks."""
 
 from __future__ import annotations
 

@@ -146,7 +146,7 @@ CASES: list[Case] = [([True, True], 2, 0), ([False, True], 2, 1), ([False, True]
 def test_an_approach_without_anything_to_hold_is_drawn_again(
     make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str, case: Case
 ) -> None:
-    """If all draws lead to nothing, the first one counts; what is acted on is always a refined pose."""
+    """If all draws lead to nothing, the first one is executed. The executed pose is always a refined one."""
     held, draws, wanted = case
     policy, before, _, dataset = make_tiny(preset=preset, num_anchors=2, num_draws=draws, n_action_history_steps=0)
     window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))

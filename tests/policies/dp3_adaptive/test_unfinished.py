@@ -42,8 +42,8 @@ def test_the_files_say_where_episodes_end(tmp_path: Path) -> None:
     ends = {schema.DONE: [False, True, False, True, True]}
     (tmp_path / "data").mkdir()
     pq.write_table(pa.table({**columns, **ends}), tmp_path / "data" / "a.parquet")
-    for told, labels in ((ends, [True, False, True, False, False]), ({}, [True] * 5)):
-        recorded = read_recorded_rows(SimpleNamespace(root=tmp_path, features=[*columns, *told]))
+    for extra, labels in ((ends, [True, False, True, False, False]), ({}, [True] * 5)):
+        recorded = read_recorded_rows(SimpleNamespace(root=tmp_path, features=[*columns, *extra]))
         assert recorded.column(IS_LABEL, torch.arange(5)).tolist() == labels
         motions, openings = demonstrated_motions(recorded)
         torch.testing.assert_close(motions, torch.tensor([0.0] * 6 + [0.3]).expand(sum(labels), 7))
