@@ -24,6 +24,7 @@ from lerobot_adamanip.evaluation.tries import (
     made_tries,
     recovery,
     tried_locked_first,
+    within_best_tries,
 )
 from lerobot_adamanip.util.json_fields import Check, integer, table
 
@@ -63,6 +64,10 @@ def _tries_of_successes(records: Records, tries: Callable[[EpisodeRecord], float
     """Returns the mean tries of successes only: a failed episode with few tries must not improve the mean."""
     solved = _solved(records)
     return Mean(sum(map(tries, solved)), len(solved))
+
+
+def _within_best_tries(records: Records) -> Rate:
+    return rate(sum(map(within_best_tries, records)), len(records))
 
 
 def _failed_tries(records: Records) -> Mean:
@@ -120,6 +125,7 @@ class Metrics:
 
     Attributes:
         success: success rate.
+        within_best_tries: share of episodes opened with the failed tries that an optimal blind strategy needs at worst.
         wasted_tries: failed tries of the successes minus those of an optimal blind strategy. A negative value means
             that the policy succeeds where its guess is right and fails elsewhere.
         repeated: share of failed tries that the next try repeats unchanged.
@@ -133,6 +139,10 @@ class Metrics:
     """
 
     success: Annotated[Rate, Metric("success", _success, Rate, interval_text)]
+    within_best_tries: Annotated[
+        Rate | None,
+        Metric("opened within the best strategy's tries", _within_best_tries, Rate, by_objects=True, is_detail=False),
+    ] = None
     wasted_tries: Annotated[
         Mean | None, Metric("wasted tries", _wasted_tries, Mean, by_objects=True, is_detail=False)
     ] = None

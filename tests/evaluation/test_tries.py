@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from records import record
 
 from lerobot_adamanip.evaluation.metrics import measure
+from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord, TryMade
 from lerobot_adamanip.evaluation.tries import (
     AJAR,
@@ -24,6 +25,7 @@ from lerobot_adamanip.evaluation.tries import (
     failure_cause,
     recovery,
     tried_locked_first,
+    within_best_tries,
 )
 
 PULL, PULLED = (0, 1, True), (0, 1, False)
@@ -134,3 +136,19 @@ def test_the_best_blind_strategy_pays_for_what_is_hidden(hidden: dict[str, objec
 def test_a_direction_that_never_changes_costs_nothing() -> None:
     costs = [best_tries(record(object_id="pressure_cooker_000", mechanism_rules=name)) for name in ("paper", "hard")]
     assert costs == [0.0, 0.5]
+
+
+@pytest.mark.parametrize(
+    ("hidden", "allowed"),
+    [({"turn_range": 1.1}, 0), ({"direction": -1}, 1), ({"locked": False, "direction": 1}, 2), ({"mode": 0}, 2)],
+)
+def test_a_success_counts_with_the_failed_tries_of_the_best_blind_strategy(
+    hidden: dict[str, object], allowed: int
+) -> None:
+    def opened(failures: int, **changes: Any) -> EpisodeRecord:
+        return episode(*[PULL] * failures, PULLED, hidden_state=hidden, **changes)
+
+    assert within_best_tries(opened(allowed))
+    assert not within_best_tries(opened(allowed + 1))
+    assert not within_best_tries(opened(0, success=False))
+    assert measure([opened(failures, seed=failures) for failures in range(4)]).within_best_tries == rate(allowed + 1, 4)
