@@ -27,6 +27,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     Past,
     body_dim,
     body_inputs,
+    instruction_dim,
     past_of,
     point_inputs,
     tool_of,
@@ -64,7 +65,7 @@ class AnchorNetwork(nn.Module):
         self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)
         self.residuals = nn.Linear(width, config.num_anchors * tool_frame.MOTION_DIM)
-        self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
+        self.refiner = Refiner(config.refinement_points, instruction_dim(config)) if config.num_refinements else None
         # Last, so that the weights above start as those of a network without a memory.
         self.memory = MemoryOfChoices(config) if config.n_action_history_steps else None
 

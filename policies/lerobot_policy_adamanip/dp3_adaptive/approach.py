@@ -12,7 +12,7 @@ from lerobot_policy_adamanip.common.torch_rotations import angle_between
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.motions import TypicalMotions
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
-from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import tool_of
+from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import instruction_of, tool_of
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 
@@ -20,7 +20,8 @@ def refinement_loss(refiner: Refiner, motions: TypicalMotions, window: Window, g
     """Returns the refiner's loss (B,) for goals (B, 10), zero where the anchor (B,) needs no refinement."""
     needed = motions.needs_refinement(index)
     rows = _rows_to_refine(needed)
-    loss = refiner.loss(window.observations[POINT_CLOUD][rows, -1], goal[rows]) * needed[rows]
+    cloud, instruction = window.observations[POINT_CLOUD][rows, -1], instruction_of(window)[rows]
+    loss = refiner.loss(cloud, goal[rows], instruction) * needed[rows]
     return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
 
@@ -36,7 +37,8 @@ def refine(
         return pose, usable
     rows = _rows_to_refine(needed)
     cloud, start = window.observations[POINT_CLOUD][rows, -1], pose[rows]
-    refined, held = refiner.refined(cloud, start, config.num_refinements, config.refinement_reach)
+    instruction = instruction_of(window)[rows]
+    refined, held = refiner.refined(cloud, start, instruction, config.num_refinements, config.refinement_reach)
     refined = _less_turned(refined, start, tool_of(window)[rows])
     pose = torch.where(needed[:, None], pose.index_copy(0, rows, refined), pose)
     return pose, usable.index_copy(0, rows, held) | ~needed

@@ -40,16 +40,18 @@ POINT_NOISE_M = 0.001
 class Refiner(nn.Module):
     """Network that predicts, from the points near a pose, its correction and whether there is something to hold.
 
-    Its inputs exclude the chosen motion and the hand's pose: in training both are exact and would reveal the goal.
+    Its inputs exclude the chosen motion and the hand's pose: in training both are exact and would reveal the goal. They
+    include the instruction (B, I), if policies use it: what there is to hold depends on the task.
     """
 
-    def __init__(self, neighbours: int) -> None:
+    def __init__(self, neighbours: int, instruction_dim: int = 0) -> None:
         super().__init__()
         self.neighbours = neighbours
         self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
-        self.out = nn.Sequential(nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 8))
+        layers = (nn.Linear(128 + instruction_dim, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 8))
+        self.out = nn.Sequential(*layers)
 
-    def forward(self, cloud: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
+    def forward(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
         """Returns corrections (B, 7) of poses (B, 10) in clouds (B, N, 3) [m], and logits (B,) of something to hold.
 
         Corrections are in `CORRECTION_UNITS`.
@@ -60,30 +62,34 @@ class Refiner(nn.Module):
         points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
         if self.training:
             points = points + POINT_NOISE_M * torch.randn_like(points)
-        out = self.out(self.encoder(tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE))).float()
+        features = self.encoder(tool_frame.point_features(points, POINT_UNIT, DIRECTION_SCALE))
+        out = self.out(torch.cat([features, instruction], dim=-1)).float()
         return out[:, :7], out[:, 7]
 
-    def loss(self, cloud: Tensor, goal: Tensor) -> Tensor:
+    def loss(self, cloud: Tensor, goal: Tensor, instruction: Tensor) -> Tensor:
         """Returns the error (B,) of corrections and logits, from proposals around the demonstrated goals (B, 10)."""
         rows = torch.arange(len(goal), device=goal.device)
         near = rows.repeat_interleave(PROPOSALS_PER_GOAL)
         proposed = tool_frame.pose_after(sample_proposals(goal[near]), goal[near])
         target = _correction(goal[near], proposed) / tool_frame.constant(CORRECTION_UNITS, goal)
         elsewhere, far = sample_elsewhere(cloud, goal)
-        correction, logit = self(cloud[torch.cat([near, rows])], torch.cat([proposed, elsewhere]))
+        both = torch.cat([near, rows])
+        correction, logit = self(cloud[both], torch.cat([proposed, elsewhere]), instruction[both])
         error = F.smooth_l1_loss(correction[: len(near)], target, reduction="none").mean(dim=-1)
         error = error + logistic_loss(logit[: len(near)], torch.ones_like(error)) / 2
         wrong = far * logistic_loss(logit[len(near) :], torch.zeros_like(far)) / 2
         return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1) + wrong
 
-    def refined(self, cloud: Tensor, pose: Tensor, steps: int, reach: float) -> tuple[Tensor, Tensor]:
+    def refined(
+        self, cloud: Tensor, pose: Tensor, instruction: Tensor, steps: int, reach: float
+    ) -> tuple[Tensor, Tensor]:
         """Returns poses (B, 10) after ``steps`` corrections, and whether there is something to hold (B,).
 
         There is nothing if the corrections add up to more than ``reach`` [m]; they are cut there. The gripper stays.
         """
         start, logit = pose, torch.zeros_like(pose[:, 0])
         for _ in range(steps):
-            correction, logit = self(cloud, pose)
+            correction, logit = self(cloud, pose, instruction)
             pose = _corrected(pose, correction * tool_frame.constant(CORRECTION_UNITS, pose))
         shift = pose[:, POSITION_DIMS] - start[:, POSITION_DIMS]
         length = shift.norm(dim=-1, keepdim=True)

@@ -22,6 +22,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     Past,
     body_dim,
     body_inputs,
+    instruction_dim,
     past_of,
     point_inputs,
     tool_of,
@@ -40,7 +41,7 @@ class ToolDenoiser(Denoiser):
         super().__init__(config, POINT_DIM, config.encoder_out_dim + body_dim(config) + memory)
         self.motions = TypicalMotions(config.num_anchors, config.refinement_spread)
         self.memory = ContactMemory(config.memory_dim) if memory else None
-        self.refiner = Refiner(config.refinement_points) if config.num_refinements else None
+        self.refiner = Refiner(config.refinement_points, instruction_dim(config)) if config.num_refinements else None
 
 
 class ToolDiffusionHead(DiffusionHead):

@@ -61,6 +61,12 @@ def tool_of(window: Window) -> Tensor:
     return window.observations[STATE][:, -1, :ACTION_DIM].float()
 
 
+def instruction_of(window: Window) -> Tensor:
+    """Returns the instruction as a vector (B, 64), or (B, 0) for a policy that does not use it."""
+    unused = window.observations[STATE][:, :, :0]
+    return window.observations.get(INSTRUCTION, unused)[:, -1]
+
+
 def point_inputs(config: DP3AdaptiveConfig, window: Window, *, training: bool) -> Tensor:
     """Returns features (B, N, 6) of the present cloud; in training of a random subset, with noise."""
     cloud = window.observations[POINT_CLOUD][:, -1, : config.coarse_points]
@@ -81,12 +87,15 @@ def body_inputs(config: DP3AdaptiveConfig, window: Window) -> Tensor:
     body = [tool_frame.upwards(tool), tool[:, GRIPPER_DIM:]]
     if config.use_effort:
         body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
-    if config.use_instruction:
-        body.append(window.observations[INSTRUCTION][:, -1])
-    return torch.cat(body, dim=-1)
+    return torch.cat([*body, instruction_of(window)], dim=-1)
 
 
 def body_dim(config: DP3AdaptiveConfig) -> int:
     """Returns the number of `body_inputs`."""
     effort = config.feature_size(EFFORT) if config.use_effort else 0
-    return 4 + effort + (INSTRUCTION_DIM if config.use_instruction else 0)
+    return 4 + effort + instruction_dim(config)
+
+
+def instruction_dim(config: DP3AdaptiveConfig) -> int:
+    """Returns the length of `instruction_of`."""
+    return INSTRUCTION_DIM if config.use_instruction else 0

@@ -16,6 +16,7 @@ from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 REACH, PLATE = 0.1, (0.2, 0.1, 0.05)
 """Default of `refinement_reach`; a place beside a wedge, in its frame [m]."""
 Scene = tuple[Tensor, Tensor]
+NO_INSTRUCTION = torch.zeros(16, 0)
 
 
 def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = False) -> Scene:
@@ -27,13 +28,13 @@ def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = Fals
     return torch.from_numpy(clouds).float(), torch.from_numpy(goals).float()
 
 
-def taught(shown: list[Scene], *, steps: int) -> Refiner:
+def taught(shown: list[Scene], *, steps: int, instruction: Tensor = NO_INSTRUCTION) -> Refiner:
     """Returns a refiner after training on scenes."""
-    refiner = Refiner(48)
+    refiner = Refiner(48, instruction.shape[1])
     optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
     for step in range(steps):
         optimizer.zero_grad()
-        refiner.loss(*shown[step % len(shown)]).mean().backward()
+        refiner.loss(*shown[step % len(shown)], instruction).mean().backward()
         optimizer.step()
     return refiner.eval().requires_grad_(False)
 
@@ -48,7 +49,7 @@ def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None
     cloud, goal = scenes(bar, draw, swapped=True)
     twist = torch.zeros(16, 7)
     twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
-    found, _ = bars.refined(cloud, pose_after(twist, goal), 3, REACH)
+    found, _ = bars.refined(cloud, pose_after(twist, goal), NO_INSTRUCTION, 3, REACH)
     left = motion_between(found, goal)[:, 5].abs()
     assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
 
@@ -78,7 +79,7 @@ def test_a_refiner_finds_what_it_was_shown_wherever_it_stands(refiner: Refiner) 
     draw = np.random.default_rng(1)
     cloud, goal = wedges(draw)
     start = near(goal, draw)
-    ends = [refiner.refined(cloud, start, steps, REACH)[0][:, :3] for steps in (0, 1, 3)]
+    ends = [refiner.refined(cloud, start, NO_INSTRUCTION, steps, REACH)[0][:, :3] for steps in (0, 1, 3)]
     missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
     assert missed[0] > 0.015
     assert missed[1] < 0.5 * missed[0]
@@ -89,10 +90,26 @@ def test_it_tells_what_can_be_held_from_what_was_never_held(refiner: Refiner) ->
     draw = np.random.default_rng(2)
     cloud, goal = wedges(draw)
     beside = pose_after(torch.tensor([*PLATE, 0.0, 0.0, 0.0, 1.0]).expand(16, 7), goal)
-    _, held = refiner.refined(cloud, near(goal, draw), 3, REACH)
+    _, held = refiner.refined(cloud, near(goal, draw), NO_INSTRUCTION, 3, REACH)
     assert held.float().mean() > 0.9
-    _, held = refiner.refined(cloud, near(beside, draw), 3, REACH)
+    _, held = refiner.refined(cloud, near(beside, draw), NO_INSTRUCTION, 3, REACH)
     assert held.float().mean() < 0.1
+
+
+def test_the_instruction_says_which_of_two_places_is_wanted() -> None:
+    """A goal at the corner of a wedge or, by the instruction, 4 cm along its edge."""
+    torch.manual_seed(0)
+    draw = np.random.default_rng(4)
+    instruction = torch.tensor([[0.0], [1.0]]).repeat(8, 1)
+    along = torch.tensor([0.04, 0, 0, 0, 0, 0, 1]) * torch.cat([instruction.expand(-1, 6), torch.ones(16, 1)], dim=1)
+    shown = [(cloud, pose_after(along, corner)) for cloud, corner in (wedges(draw) for _ in range(8))]
+    told = taught(shown, steps=400, instruction=instruction)
+    cloud, corner = wedges(draw)
+    goal, other = (pose_after(each, corner)[:, :3] for each in (along, along.flip(0)))
+    found, _ = told.refined(cloud, near(corner, draw), instruction, 3, REACH)
+    missed, missed_other = ((found[:, :3] - each).norm(dim=-1).median() for each in (goal, other))
+    assert missed < 0.01
+    assert missed_other > 0.03
 
 
 @pytest.mark.parametrize("reach", [0.003, 0.02, 0.1])
@@ -102,8 +119,8 @@ def test_no_pose_is_shifted_beyond_the_reach_and_one_that_would_be_has_nothing_t
     draw = np.random.default_rng(3)
     cloud, goal = wedges(draw)
     start = near(goal, draw)
-    free, holds = refiner.refined(cloud, start, 3, 10.0)
-    found, held = refiner.refined(cloud, start, 3, reach)
+    free, holds = refiner.refined(cloud, start, NO_INSTRUCTION, 3, 10.0)
+    found, held = refiner.refined(cloud, start, NO_INSTRUCTION, 3, reach)
     wanted, shift = (each[:, :3] - start[:, :3] for each in (free, found))
     length = wanted.norm(dim=-1)
     assert (shift.norm(dim=-1) <= reach + 1e-6).all()
