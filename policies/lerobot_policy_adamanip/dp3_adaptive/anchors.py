@@ -68,12 +68,23 @@ class AnchorNetwork(nn.Module):
         self.refiner = Refiner(config.refinement_points, instruction_dim(config)) if config.num_refinements else None
         # Last, so that the weights above start as those of a network without a memory.
         self.memory = MemoryOfChoices(config) if config.n_action_history_steps else None
+        self.register_load_state_dict_pre_hook(_leave_out_memory)
 
     def forward(self, points: Tensor, body: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(B, N, 6), (B, 4+) -> features (B, W), logits (B, K), residuals (B, K, 7) in units of the anchors' spread."""
         features = self.trunk(torch.cat([self.encoder(points), body], dim=-1))
         residuals = self.residuals(features).reshape(-1, *self.motions.anchors.shape)
         return features, self.logits(features), residuals
+
+
+def _leave_out_memory(network: AnchorNetwork, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
+    """Removes the weights of a memory from those that are loaded into a network that has none.
+
+    Nothing else was trained with it, so the rest is the policy without a history.
+    """
+    if network.memory is None:
+        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
+            del weights[name]
 
 
 class AnchorHead:

@@ -12,6 +12,8 @@ from lerobot.policies.factory import make_policy, make_pre_post_processors
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
+from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import past_of
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -47,6 +49,20 @@ def test_fine_tuning_keeps_the_units_of_clouds_and_takes_those_of_the_new_data(
     torch.testing.assert_close(back(labels), dataset[6][schema.ACTION][None], rtol=0, atol=1e-5)
     assert torch.equal(tuned.model.cloud_units.center, units.center)
     assert torch.equal(tuned.model.cloud_units.scale, units.scale)
+
+
+def test_a_checkpoint_can_be_used_without_its_memory(make_tiny: MakeTiny, batch_of: Any, tmp_path: Path) -> None:
+    policy, before, _, dataset = make_tiny(preset="fast", n_action_history_steps=4)
+    policy.save_pretrained(tmp_path)
+    plain = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--n_action_history_steps=0"])
+    loaded = DP3AdaptivePolicy.from_pretrained(tmp_path, config=plain)
+    window, *_ = policy.training_window(batch_of(dataset, before))
+    assert past_of(window).contact.any()
+    assert loaded.model.memory is None
+    for model in (policy.model, policy.ema_model):
+        model.memory = None
+    found = [each.head.predict(each._active_model().eval(), window)[:2] for each in (policy, loaded)]
+    assert all(torch.equal(*pair) for pair in zip(*found, strict=True))
 
 
 def test_a_card_describes_this_policy(make_tiny: MakeTiny) -> None:
