@@ -140,7 +140,12 @@ def test_a_direction_that_never_changes_costs_nothing() -> None:
 
 @pytest.mark.parametrize(
     ("hidden", "allowed"),
-    [({"turn_range": 1.1}, 0), ({"direction": -1}, 1), ({"locked": False, "direction": 1}, 2), ({"mode": 0}, 2)],
+    [
+        ({"turn_range": 1.1}, 1),
+        ({"direction": -1, "turn_range": 1.1}, 2),
+        ({"locked": False, "direction": 1}, 2),
+        ({"mode": 0}, 2),
+    ],
 )
 def test_a_success_counts_with_the_failed_tries_of_the_best_blind_strategy(
     hidden: dict[str, object], allowed: int
