@@ -13,7 +13,7 @@ from pathlib import Path
 
 from check_common import ROOT, document_command
 
-from lerobot_adamanip.benchmark.declaration import read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
@@ -33,11 +33,11 @@ def read_results(folder: Path) -> dict[str, ResultFile]:
 
 
 def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[BenchmarkReport]:
-    """Yields a report per scale of the paper's declaration that has results."""
-    declaration = read_declaration()
-    for scale in declaration.scales:
-        if results := read_cells(folder / "benchmark" / scale):
-            yield make_report(results, declaration, scale, present)
+    """Yields a report per scale of our declarations that has results."""
+    for declaration in map(read_declaration, sorted(PAPER_TABLE.parent.glob("*.toml"))):
+        for scale in declaration.scales:
+            if results := read_cells(folder / "benchmark" / scale):
+                yield make_report(results, declaration, scale, present)
 
 
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:

@@ -85,6 +85,7 @@ class Method:
         options: ``--policy.NAME=VALUE`` options of the policy.
         demonstrations: name of the training set; empty for a policy without training.
         rounds: correction rounds after the first training.
+        data_of: method whose demonstrations and corrections of all categories are the training set: one policy for all.
         train: additional options of ``lerobot-train``; they override the scale's.
         evaluate: additional options of ``lerobot-eval``; they override the scale's.
         steps: training steps by scale, where they differ from the scale's.
@@ -98,6 +99,7 @@ class Method:
     options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
     demonstrations: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or an empty text")] = ""
     rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
+    data_of: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a method, or an empty text")] = ""
     train: Annotated[tuple[str, ...], _OPTIONS] = ()
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
     steps: Annotated[Mapping[str, int], mapping(NAME, _COUNT, 20)] = field(default_factory=dict)
@@ -238,6 +240,10 @@ def _check_method(made: Declaration, name: str, method: Method) -> None:
     _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
+    with_data = [other for other, each in made.methods.items() if each.demonstrations]
+    _require(f"methods.{name}.data_of", method.data_of, ("", *with_data))
+    if method.data_of and method.demonstrations:
+        raise ValueError(f"methods.{name} has data_of another method and demonstrations of its own")
     for scale in (*method.steps, *method.train_at):
         _require(f"methods.{name}.steps and train_at", scale, made.scales)
 

@@ -109,19 +109,11 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> S
         ConfigurationError: an option contains a path of this machine, or the scale's objects do not exist.
     """
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
-    learnt = _demonstrations(cell, declaration)
+    learnt, training = _demonstrations(cell, declaration), None
     like = learnt or Demonstrations()
     like = replace(like, poses=scale.poses or like.poses)
-    training = None
     if learnt is not None:
-        data = _collection(cell, like, scale, code)
-        method = replace(method, train=(*method.train, *method.train_at.get(scale_name, ())))
-        training = _training(cell, method, scale, data, code, steps=method.steps.get(scale_name, scale.steps))
-        for each in method.rounds:
-            corrected = _correction(cell, like, scale, code, episodes=each.corrections, training=training)
-            data = _merge((data, corrected))
-            start = training if each.start == "trained" else None
-            training = _training(cell, method, scale, data, code, steps=each.steps, start=start)
+        _, training = _learning(cell, declaration, scale_name, code, like=like)
     return _evaluation(cell, method, scale, code, like=like, training=training)
 
 
@@ -130,8 +122,29 @@ def options_key(cell: Cell, declaration: Declaration, scale: str) -> str:
     return plan(cell, declaration, scale, Code()).key
 
 
+def _learning(
+    cell: Cell, declaration: Declaration, scale_name: str, code: Code, *, like: Demonstrations
+) -> tuple[Step, Step]:
+    """Returns the dataset that a method trains on last, and that training."""
+    scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
+    method = replace(method, train=(*method.train, *method.train_at.get(scale_name, ())))
+    if method.data_of:
+        others = [replace(cell, method=method.data_of, category=category) for category in scale.categories]
+        data = _merge(tuple(_learning(each, declaration, scale_name, code, like=like)[0] for each in others))
+    else:
+        data = _collection(cell, like, scale, code)
+    training = _training(cell, method, scale, data, code, steps=method.steps.get(scale_name, scale.steps))
+    for each in method.rounds:
+        corrected = _correction(cell, like, scale, code, episodes=each.corrections, training=training)
+        data = _merge((data, corrected))
+        start = training if each.start == "trained" else None
+        training = _training(cell, method, scale, data, code, steps=each.steps, start=start)
+    return data, training
+
+
 def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | None:
-    name, curve = declaration.methods[cell.method].demonstrations, declaration.trials
+    method, curve = declaration.methods[cell.method], declaration.trials
+    name = declaration.methods[method.data_of or cell.method].demonstrations
     if cell.trials == 0 and curve is not None:
         return declaration.demonstrations[curve.none]
     if not name:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from benchmark_helpers import SCALE, content, declared
 
-from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES, SUCCESS, SUCCESS_BY_TRIALS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -76,6 +76,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("reference", "theirs", "reference is 'theirs'"),
         ("methods/ours/demonstrations", "some", "methods.ours.demonstrations is 'some'"),
         ("methods/ours/policy", None, "methods.ours lacks policy"),
+        ("methods/ours/data_of", "untrained", "methods.ours.data_of is 'untrained'"),
+        ("methods/ours/data_of", "ours_on_static", "methods.ours has data_of another method"),
         ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),
         ("methods/ours/options", ["--steps=3"], "an option --policy.NAME=VALUE"),
         ("methods/ours/train", ["steps"], "an option --NAME=VALUE"),
@@ -100,6 +102,13 @@ def test_a_mistake_is_named(path: str, value: Any, message: str) -> None:
     with pytest.raises(ValueError) as error:  # noqa: PT011  (the text is what matters)
         parse_declaration(changed(path, value))
     assert message in str(error.value)
+
+
+def test_every_shipped_declaration_can_be_read_and_no_scale_has_the_name_of_another() -> None:
+    """Result files are stored by scale."""
+    scales = [name for path in PAPER_TABLE.parent.glob("*.toml") for name in read_declaration(path).scales]
+    assert {"cpu", "validation"} < set(scales)
+    assert len(scales) == len(set(scales))
 
 
 def test_a_file_that_is_no_declaration_is_one_error(tmp_path: Path) -> None:

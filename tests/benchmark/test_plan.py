@@ -189,6 +189,23 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
     assert option(found["evaluate"].command, "--policy.path") == str(last_checkpoint(found["train_3"].product))
 
 
+def test_one_policy_for_all_categories_trains_on_the_data_of_another_method() -> None:
+    methods = content()["methods"]
+    methods["ours"]["rounds"] = [{"corrections": 5, "steps": 4}]
+    methods["all"] = {"title": "One for all", "policy": "dp3_adaptive", "data_of": "ours", "steps": {SCALE: 30}}
+    declaration = declared(
+        methods=methods, scales={SCALE: {**content()["scales"][SCALE], "categories": ["safe", "door"]}}
+    )
+    tested = {name: plan(cell("all", category=name), declaration, SCALE, CODE) for name in ("safe", "door")}
+    (training,) = {each.needs[0] for each in tested.values()}
+    (merged,) = training.needs
+    each = [named_steps(plan(cell(category=name), declaration, SCALE, CODE))["merge"] for name in ("safe", "door")]
+    assert merged.needs == tuple(each)
+    assert option(training.command, "--steps") == "30"
+    for name, test in tested.items():
+        assert option(test.command, "--env.type") == f"adamanip_{name}"
+
+
 def test_a_path_of_this_machine_is_refused_before_anything_runs(tmp_path: Path) -> None:
     methods = content()["methods"]
     methods["ours"]["options"] = [f"--policy.backbone={tmp_path}/weights"]
