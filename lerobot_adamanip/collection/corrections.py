@@ -99,7 +99,7 @@ def corrected_rollout(
         beyond += success
         success = success or bool(info["is_success"])
         on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels, sent))
-        belief = belief.after(env.labels, env.joint_names, before, env.part_positions())
+        belief = belief.after(env.labels, env.joint_names, before, env.part_positions(), stalled=env.feedback.failed)
         observation = following
         if truncated:
             break

@@ -37,7 +37,7 @@ class Knowledge:
 class FeltTry:
     """One try and its measured result: the sign of the commanded motion, and joint positions [rad or m].
 
-    ``failed`` means that the joint did not follow, see `KeyFrameLabels`.
+    ``failed`` means that the joint did not follow, see `KeyFrameLabels`; ``stalled`` that the hand did not arrive.
     """
 
     joint: str
@@ -45,6 +45,7 @@ class FeltTry:
     before: Positions
     after: Positions
     failed: bool
+    stalled: bool = False
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,9 @@ class Belief:
 
     tries: tuple[FeltTry, ...] = ()
 
-    def after(self, labels: KeyFrameLabels, joints: tuple[str, ...], before: Positions, after: Positions) -> Belief:
+    def after(
+        self, labels: KeyFrameLabels, joints: tuple[str, ...], before: Positions, after: Positions, *, stalled: bool
+    ) -> Belief:
         """Returns the belief after a key frame that moved joints from ``before`` to ``after`` [rad or m].
 
         ``joints`` are the names of the mechanism's joints; ``labels.tried`` is an index into them.
@@ -61,7 +64,7 @@ class Belief:
         if labels.tried < 0:
             return self
         sign = int(np.sign(labels.sent))
-        felt = FeltTry(joints[labels.tried], sign, dict(before), dict(after), labels.failed)
+        felt = FeltTry(joints[labels.tried], sign, dict(before), dict(after), labels.failed, stalled)
         return replace(self, tries=(*self.tries, felt))
 
     def latest(self, joint: str) -> FeltTry | None:
@@ -95,14 +98,12 @@ class Belief:
         return max((abs(each.after[joint]) for each in self.tries if each.joint == joint), default=0.0)
 
     def stopped(self, joint: str, rest: float) -> bool:
-        """Returns whether a joint is at its stop: already moved, it was sent farther and did not follow."""
+        """Returns whether a joint is at its stop: it has moved, and the latest try to send it farther stalled."""
         latest = self.latest(joint)
-        return (
-            latest is not None
-            and latest.failed
-            and not at_rest(latest, rest)
-            and latest.sign * latest.before[joint] > 0
-        )
+        if latest is None:
+            return False
+        before, after = (latest.sign * place[joint] for place in (latest.before, latest.after))
+        return before > rest if latest.failed else latest.stalled and after > rest
 
     def blocked_at(self, joint: str, key: str) -> float:
         """Returns the largest absolute position of ``key`` at which a try of ``joint`` failed; -1 for none."""

@@ -18,12 +18,10 @@ SEQUENCE = "pull door; if it is blocked: let go, push button with the closed han
 
 def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
     """Opens by trial and error, without the hidden state."""
-    yield from open_by_trial(
-        hand,
-        known.parts["handle"],
-        lambda: push_button(hand, known.parts["button"]),
-        unlock_first=hand.belief.blocked("door", until="button"),
-    )
+    button, unlock_first = known.parts["button"], hand.belief.blocked("door", until="button")
+    if not unlock_first and hand.parts and hand.is_closed_near(button):
+        yield from hand.back_off(0.0)  # as after a push: fingers that open in the button's recess are caught there
+    yield from open_by_trial(hand, known.parts["handle"], lambda: push_button(hand, button), unlock_first=unlock_first)
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:

@@ -110,18 +110,26 @@ class Hand:
         self.feedback = yield Goal(pose, gripper, phase)
 
     def clear(self) -> Frames:
-        """Releases and backs off, if the expert takes over a hand that is closed or near a part.
+        """Releases and backs off, if the expert takes over a hand that holds something or is near a part.
 
-        An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever.
+        An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever. A
+        closed one that is empty and away from all parts opens on its way.
         """
         parts, self.parts = self.parts or {}, None
-        here = self.feedback.tcp_in_base[:3, 3]
-        near = (np.linalg.norm(part.moved(self.positions)[:3, 3] - here) < NEAR_PART for part in parts.values())
-        if parts and self.feedback.gripper < OPEN_HAND:
+        near = any(map(self._is_near, parts.values()))
+        if parts and self.feedback.gripper < OPEN_HAND and (near or not self.empty):
             yield from self.release()
-        elif any(near):
+        elif near:
             self.positions.update(self._settled())
             yield from self.back_off(1.0)
+
+    def is_closed_near(self, part: PartAnnotation) -> bool:
+        """Returns whether the hand is not open, and close to a part."""
+        return self.feedback.gripper < OPEN_HAND and self._is_near(part)
+
+    def _is_near(self, part: PartAnnotation) -> bool:
+        away, _ = self._beside(part.moved(self.positions))
+        return float(np.linalg.norm(away)) < NEAR_PART
 
     def holds(self, part: PartAnnotation) -> bool:
         """Returns whether the hand already holds a part when the expert takes over."""

@@ -109,7 +109,8 @@ class TurnToOpenExpert:
         self.slips = 0
         """Tries with a slipped hand since the latest grasp."""
         self.at_end = hand.belief.stopped(style.key, FOLLOWED * style.step)
-        """Whether the key has turned to its stop."""
+        self.at_end |= abs(self.angle) >= (1.0 - TURN_LAG_RATIO) * style.enough
+        """Whether the key has turned to its stop, or far enough as far as a takeover can see."""
         hand.settles = style.settles
 
     @property

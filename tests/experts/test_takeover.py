@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -41,7 +41,8 @@ class Watched:
                 0.003 if self.world.obj.joint(move.joint).kind == "prismatic" else 0.05
             )
             labels = KeyFrameLabels(self.world.mechanism.joints.index(move.joint), failed, 0.0, 0, float(move.sign))
-            self.belief = self.belief.after(labels, self.world.mechanism.joints, before, dict(self.world.joints))
+            joints, after = self.world.mechanism.joints, dict(self.world.joints)
+            self.belief = self.belief.after(labels, joints, before, after, stalled=feedback.failed)
         return feedback
 
     def taken_over(self, seed: int, **known: Any) -> Any:
@@ -123,6 +124,27 @@ def test_what_the_hand_holds_is_gone_on_with(category: str, seed: int, steps: in
             np.testing.assert_allclose(other.tcp_in_base, goal.tcp_in_base, atol=1e-6)
 
 
+@every
+@fast
+@given(st.data(), seeds)
+def test_it_takes_over_its_own_episode_as_it_would_have_gone_on(category: str, data: st.DataObject, seed: int) -> None:
+    """Corrections and demonstrations are one training set: in one state they must not teach two things."""
+    watched = Watched(KinematicWorld(data.draw(object_names(category)), draw=seed))
+    frames = adaptive(watched.world, seed, strategy="to_stop")
+    goal = next(frames)
+    while not any(watched.world.successes):
+        feedback = watched.step(goal)
+        try:
+            goal = frames.send(feedback)
+        except StopIteration:
+            return
+        other = next(watched.taken_over(seed + 1, strategy="to_stop"), None)
+        assert other is not None or any(watched.world.successes)
+        if other is not None:
+            assert other.gripper == goal.gripper
+            assert other.phase is goal.phase or {other.phase, goal.phase} == {Phase.TRY, Phase.OPEN}
+
+
 @pytest.mark.parametrize(
     ("mode", "order"),
     [(2, (0, 1)), (0, (1, 2)), (1, (2, 0)), (0, (1,)), (2, (1,)), (1, (0,)), (2, (0,)), (0, (2,)), (1, (2,))],
@@ -202,6 +224,8 @@ def test_beliefs_of_tries() -> None:
     assert Belief((right, stop)).blocked_ways("knob", 0.1) == set()
     assert Belief((right, stop)).stopped("knob", 0.1)
     assert not Belief((right,)).stopped("knob", 0.1)
+    assert Belief((replace(right, stalled=True),)).stopped("knob", 0.1), "it followed, but not all the way"
+    assert not Belief((replace(wrong, stalled=True),)).stopped("knob", 0.1)
     assert Belief((one,)).blocked_at("door", "knob") == 0.0
     assert Belief((right,)).blocked_at("door", "knob") == -1.0
     # Both ways blocked: a grip that slipped, so no way is known; or a lamp that is pushed.
@@ -209,8 +233,8 @@ def test_beliefs_of_tries() -> None:
     assert Belief((wrong, other)).blocked_ways("knob", 0.1) == {-1, 1}
     assert Belief((wrong, other)).way("knob", 0.1) == 0
     labels = KeyFrameLabels(tried=1, failed=True, progress=0.0, trial=0, sent=-0.7)
-    assert Belief().after(labels, ("door", "knob"), rest, rest) == Belief((wrong,))
-    assert Belief().after(KeyFrameLabels(), ("door", "knob"), rest, rest) == Belief()
+    assert Belief().after(labels, ("door", "knob"), rest, rest, stalled=False) == Belief((wrong,))
+    assert Belief().after(KeyFrameLabels(), ("door", "knob"), rest, rest, stalled=False) == Belief()
 
 
 def test_a_hand_beside_a_grasp_goes_straight_there() -> None:
