@@ -41,10 +41,7 @@ def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
 def _turns(hand: Hand) -> bool:
     """Returns whether the knob was being turned at the takeover and has not reached its stop."""
     latest = hand.belief.tries[-1] if hand.belief.tries else None
-    if latest is None or latest.joint != "knob":
-        return False
-    last = abs(latest.before["knob"]) > (MAX_TURNS - 1 - FOLLOWED) * TURN_STEP
-    return not (last or hand.belief.stopped("knob", TURNED))
+    return latest is not None and latest.joint == "knob" and not hand.belief.stopped("knob", TURNED)
 
 
 def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
