@@ -118,6 +118,16 @@ def test_a_batch_of_another_dataset_is_refused(
     assert torch.isfinite(policy.forward(batches[1])[0])
 
 
+def test_an_augmentation_that_the_checkpoints_processor_lacks_is_refused(
+    make_toy_policy: MakePolicy, toy_root: Path
+) -> None:
+    """LeRobot loads the processor as it was saved, whatever --policy.augmentation_* say."""
+    policy, before, _, dataset = make_toy_policy("dp3_adaptive", toy_root, **SHAPES[0])
+    policy.config.augmentation_mirror = 0.5
+    with pytest.raises(ConfigurationError, match="augmentation of a checkpoint cannot be changed"):
+        policy.forward(before(torch.utils.data.default_collate([dataset[row] for row in (3, 9)])))
+
+
 @pytest.mark.parametrize("shape", SHAPES[:2], ids=["fast", "dp3"])
 def test_history_and_labels_move_with_an_augmented_scene(
     make_toy_policy: MakePolicy, corrected_root: Path, shape: dict[str, Any]

@@ -68,7 +68,7 @@ class AnchorNetwork(nn.Module):
         self.refiner = Refiner(config.refinement_points, instruction_dim(config)) if config.num_refinements else None
         # Last, so that the weights above start as those of a network without a memory.
         self.memory = MemoryOfChoices(config) if config.n_action_history_steps else None
-        self.register_load_state_dict_pre_hook(_leave_out_memory)
+        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
 
     def forward(self, points: Tensor, body: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """(B, N, 6), (B, 4+) -> features (B, W), logits (B, K), residuals (B, K, 7) in units of the anchors' spread."""

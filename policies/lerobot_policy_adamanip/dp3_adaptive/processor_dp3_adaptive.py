@@ -42,12 +42,14 @@ class SceneMotion:
         rotation: (B, 3, 3).
         shift: (B, 3) [m].
         center: (x, y, z) [m] of the vertical, robot base frame.
+        bounds: translation, yaw and mirror of the `RigidAugmentationStep` that drew it.
     """
 
     mirrored: Tensor | None
     rotation: Tensor
     shift: Tensor
     center: tuple[float, float, float]
+    bounds: tuple[float, float, float]
 
     def points(self, points: Tensor) -> Tensor:
         """Returns moved points (B, ..., 3+) [m]; values after the first three stay."""
@@ -127,7 +129,7 @@ class RigidAugmentationStep(SameFeaturesStep):
         mirrored = torch.rand(batch, device=device) < self.mirror if self.mirror else None
         rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
         shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
-        return SceneMotion(mirrored, rotation, shift, self.center)
+        return SceneMotion(mirrored, rotation, shift, self.center, (self.translation, self.yaw, self.mirror))
 
     def get_config(self) -> dict[str, Any]:
         """Returns the options, JSON-able."""

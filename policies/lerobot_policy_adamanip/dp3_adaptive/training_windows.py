@@ -63,7 +63,9 @@ class TrainingWindows:
         ahead, exists = recorded.around(rows, range(config.horizon))
         actions = torch.cat([recorded.column(EXECUTED, before), recorded.column(ACTION, ahead)], dim=1)
         actions = self._prepare(batch, ACTION, actions)
-        self._check_first(batch, actions[:, past])
+        if not self._is_checked:
+            self._check_augmentation(batch)
+            self._check_first(batch, actions[:, past])
         if config.observed_steps > config.n_obs_steps:
             states = self._prepare(batch, STATE, recorded.column(STATE, before))
             observations = {**observations, STATE: torch.cat([states, observations[STATE]], dim=1)}
@@ -78,10 +80,23 @@ class TrainingWindows:
         result: Tensor = done[TransitionKey.ACTION] if key == ACTION else done[TransitionKey.OBSERVATION][STATE]
         return result
 
+    def _check_augmentation(self, batch: dict[str, Any]) -> None:
+        """Raises `ConfigurationError` if the batch's augmentation is not the configured one."""
+        config = self._config
+        wanted = (config.augmentation_translation or 0.0, config.augmentation_yaw or 0.0, config.augmentation_mirror)
+        got = batch[SCENE_MOTION].bounds if SCENE_MOTION in batch else (0.0, 0.0, 0.0)
+        if got != wanted and config.has_pose_layout:
+            raise ConfigurationError(
+                "The augmentation of a checkpoint cannot be changed: LeRobot loads its processor as it was saved.",
+                got=f"translation, yaw, mirror = {got}, but --policy.augmentation_* say {wanted}",
+                allowed="the options that the checkpoint was trained with",
+                hint="leave --policy.augmentation_* out, or train from new weights",
+            )
+
     def _check_first(self, batch: dict[str, Any], actions: Tensor) -> None:
         """Raises `ConfigurationError` if the first batch's actions (B, A) differ from the looked-up ones."""
         given = batch.get(ACTION)
-        if self._is_checked or given is None:
+        if given is None:
             return
         given = given.reshape(len(given), -1)
         if given.shape != actions.shape or not torch.allclose(given.to(actions), actions, atol=1e-3):
