@@ -13,7 +13,7 @@ from lerobot_adamanip.benchmark.paper_rates import (
 )
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry, Row
 from lerobot_adamanip.benchmark.run import WORDS
-from lerobot_adamanip.evaluation.metrics import pool
+from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Difference, Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
@@ -29,6 +29,8 @@ _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
     "the deviation measures."
 )
+_TRIES = ("success", "within_best_tries", "repeated", "untried", "failures")
+"""Metrics of the tries by category."""
 _MARKS = {
     OTHER_CODE: "measured with earlier code; the present code may give other numbers",
     OTHER_OPTIONS: "of other options than declared now",
@@ -181,7 +183,21 @@ def _tries(report: BenchmarkReport) -> str:
         "Over all categories and objects. Wasted tries are the failed tries per success minus those of the best "
         "strategy that cannot see the hidden state either."
     )
-    return f"{markdown_table(titles, rows)}\n\n{told}"
+    return f"{markdown_table(titles, rows)}\n\n{told}{_tries_by_category(report)}"
+
+
+def _tries_by_category(report: BenchmarkReport) -> str:
+    """Returns a table of each category's tries; empty for results of versions that did not count them."""
+    rows = []
+    for category in report.categories:
+        for row in report.rows_with_results:
+            for objects in report.splits:
+                entry = report.entry(row.name, category, objects)
+                if entry is not None and entry.numbers.within_best_tries is not None:
+                    numbers = [entry.numbers.show(name) for name in _TRIES]
+                    rows.append([words(category), _name(row), objects, *numbers])
+    titles = ["category", "method", "objects", *(METRICS[name].title for name in _TRIES)]
+    return f"\n\n{markdown_table(titles, rows)}" if rows else ""
 
 
 def _share(share: Rate | None) -> str:

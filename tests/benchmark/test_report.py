@@ -142,7 +142,10 @@ def test_the_csv_has_every_number_with_its_metrics(cells: Path) -> None:
     assert re.search(r"\blocked \d/\d.*unlocked \d/\d", line["hidden"])
     assert "knob_range" not in line["hidden"], "halves of a range are one evaluation's own"
     tries = benchmark_page(report)
-    assert "| Ours | " in tries[tries.index("## Tries") :]
+    tries = tries[tries.index("## Tries") :]
+    assert "| Ours | " in tries
+    for name in ("success", "within_best_tries", "repeated"):
+        assert found.numbers.show(name) in next(each for each in tries.splitlines() if "safe | Ours | seen" in each)
 
 
 def test_a_missing_cell_is_marked_and_never_guessed(cells: Path) -> None:
