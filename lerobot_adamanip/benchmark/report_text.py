@@ -29,7 +29,7 @@ _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
     "the deviation measures."
 )
-_TRIES = ("success", "within_best_tries", "repeated", "untried", "failures")
+_TRIES = ("within_best_tries", "repeated", "untried", "failures")
 """Metrics of the tries by category."""
 _MARKS = {
     OTHER_CODE: "measured with earlier code; the present code may give other numbers",
@@ -195,8 +195,8 @@ def _tries_by_category(report: BenchmarkReport) -> str:
                 entry = report.entry(row.name, category, objects)
                 if entry is not None and entry.numbers.within_best_tries is not None:
                     numbers = [entry.numbers.show(name) for name in _TRIES]
-                    rows.append([words(category), _name(row), objects, *numbers])
-    titles = ["category", "method", "objects", *(METRICS[name].title for name in _TRIES)]
+                    rows.append([f"{words(category)}, {objects}", _name(row), *numbers])
+    titles = ["category, objects", "method", *(METRICS[name].title for name in _TRIES)]
     return f"\n\n{markdown_table(titles, rows)}" if rows else ""
 
 
