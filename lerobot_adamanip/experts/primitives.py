@@ -110,10 +110,9 @@ class Hand:
         self.feedback = yield Goal(pose, gripper, phase)
 
     def clear(self) -> Frames:
-        """Releases and backs off, if the expert takes over a hand that holds something or is near a part.
+        """Releases and backs off, if the expert takes over a hand that holds something or is near a part; else nothing.
 
-        An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever. A
-        closed one that is empty and away from all parts opens on its way.
+        An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever.
         """
         parts, self.parts = self.parts or {}, None
         near = any(map(self._is_near, parts.values()))
