@@ -153,7 +153,7 @@ def test_an_approach_without_anything_to_hold_is_drawn_again(
     window.observations[schema.STATE][..., 9] = 1.0
     goals = drawing(policy, window, LEFT, RIGHT)
 
-    def refined(_: Any, cloud: torch.Tensor, pose: torch.Tensor, steps: int, reach: float) -> tuple[torch.Tensor, ...]:
+    def refined(_: Any, cloud: torch.Tensor, pose: torch.Tensor, *_given: Any) -> tuple[torch.Tensor, ...]:
         is_left = motion_between(pose, window.observations[schema.STATE][:, -1, :10])[:, 1] < 0
         return pose + 0.001 * torch.eye(10)[0], torch.where(is_left, *map(torch.tensor, held))
 
