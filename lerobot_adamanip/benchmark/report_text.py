@@ -179,11 +179,11 @@ def _tries(report: BenchmarkReport) -> str:
             shares = [_share(each) for each in (metrics.repeated, new_after_one)]
             rows.append([_name(row), metrics.show("wasted_tries"), *shares])
     titles = ["method", "wasted tries", "failed tries repeated", "something new after a failed try"]
-    told = (
+    explanation = (
         "Over all categories and objects. Wasted tries are the failed tries per success minus those of the best "
         "strategy that cannot see the hidden state either."
     )
-    return f"{markdown_table(titles, rows)}\n\n{told}{_tries_by_category(report)}"
+    return f"{markdown_table(titles, rows)}\n\n{explanation}{_tries_by_category(report)}"
 
 
 def _tries_by_category(report: BenchmarkReport) -> str:

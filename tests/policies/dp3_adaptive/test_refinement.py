@@ -103,10 +103,10 @@ def test_the_instruction_says_which_of_two_places_is_wanted() -> None:
     instruction = torch.tensor([[0.0], [1.0]]).repeat(8, 1)
     along = torch.tensor([0.04, 0, 0, 0, 0, 0, 1]) * torch.cat([instruction.expand(-1, 6), torch.ones(16, 1)], dim=1)
     shown = [(cloud, pose_after(along, corner)) for cloud, corner in (wedges(draw) for _ in range(8))]
-    told = taught(shown, steps=400, instruction=instruction)
+    trained = taught(shown, steps=400, instruction=instruction)
     cloud, corner = wedges(draw)
     goal, other = (pose_after(each, corner)[:, :3] for each in (along, along.flip(0)))
-    found, _ = told.refined(cloud, near(corner, draw), instruction, 3, REACH)
+    found, _ = trained.refined(cloud, near(corner, draw), instruction, 3, REACH)
     missed, missed_other = ((found[:, :3] - each).norm(dim=-1).median() for each in (goal, other))
     assert missed < 0.01
     assert missed_other > 0.03
