@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE, Statist
 from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.dp3_adaptive.cloud_units import CloudUnits
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, INSTRUCTION_DIM
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 BODY_RANGE = 3.0
@@ -38,7 +38,7 @@ class BaseDenoiser(Denoiser):
 
     def __init__(self, config: DP3AdaptiveConfig, stats: Statistics | None) -> None:
         body_dim = config.state_dim + (config.feature_size(EFFORT) if config.use_effort else 0)
-        body_dim += INSTRUCTION_DIM if config.use_instruction else 0
+        body_dim += instruction_dim(config)
         past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
         condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
         super().__init__(config, 3, condition_dim)

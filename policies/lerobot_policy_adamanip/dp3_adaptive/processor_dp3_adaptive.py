@@ -154,6 +154,11 @@ class OrthonormaliseStep(SameFeaturesStep):
         return cast(EnvTransition, {**transition, TransitionKey.ACTION: pose})
 
 
+def instruction_dim(config: DP3AdaptiveConfig) -> int:
+    """Returns the length of the instruction vector; 0 for a policy that does not use instructions."""
+    return INSTRUCTION_DIM if config.use_instruction else 0
+
+
 @functools.cache
 def instruction_vector(text: str) -> Tensor:
     """Returns a unit vector (64,) by feature hashing (Weinberger et al. 2009) of words and pairs of words."""

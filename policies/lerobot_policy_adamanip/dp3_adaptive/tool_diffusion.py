@@ -16,13 +16,13 @@ from lerobot_policy_adamanip.dp3_adaptive.approach import refine, refinement_los
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import Denoiser, DiffusionHead
 from lerobot_policy_adamanip.dp3_adaptive.motions import TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import instruction_dim
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
     Past,
     body_dim,
     body_inputs,
-    instruction_dim,
     past_of,
     point_inputs,
     tool_of,

@@ -12,7 +12,7 @@ from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import contact_events, repeats_failure
 from lerobot_policy_adamanip.common.events import events
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, INSTRUCTION_DIM
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 POINT_UNIT, DIRECTION_SCALE = 0.15, 0.03
@@ -94,8 +94,3 @@ def body_dim(config: DP3AdaptiveConfig) -> int:
     """Returns the number of `body_inputs`."""
     effort = config.feature_size(EFFORT) if config.use_effort else 0
     return 4 + effort + instruction_dim(config)
-
-
-def instruction_dim(config: DP3AdaptiveConfig) -> int:
-    """Returns the length of `instruction_of`."""
-    return INSTRUCTION_DIM if config.use_instruction else 0
