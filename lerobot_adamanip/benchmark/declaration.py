@@ -89,7 +89,7 @@ class Method:
         train: additional options of ``lerobot-train``; they override the scale's.
         evaluate: additional options of ``lerobot-eval``; they override the scale's.
         steps: training steps by scale, where they differ from the scale's.
-        train_at: scale -> options of ``lerobot-train`` that override ``train``.
+        train_at: scale or category -> options of ``lerobot-train`` that override ``train``.
         paper: name in the paper; empty if the paper does not have the method.
         package: distribution that declares it; empty for the declaration itself.
     """
@@ -244,8 +244,10 @@ def _check_method(made: Declaration, name: str, method: Method) -> None:
     _require(f"methods.{name}.data_of", method.data_of, ("", *with_data))
     if method.data_of and method.demonstrations:
         raise ValueError(f"methods.{name} has data_of another method and demonstrations of its own")
-    for scale in (*method.steps, *method.train_at):
-        _require(f"methods.{name}.steps and train_at", scale, made.scales)
+    for scale in method.steps:
+        _require(f"methods.{name}.steps", scale, made.scales)
+    for where in method.train_at:
+        _require(f"methods.{name}.train_at", where, (*made.scales, *CATEGORIES))
 
 
 def _require(name: str, got: str, names: Iterable[str]) -> None:

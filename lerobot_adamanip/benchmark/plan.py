@@ -1,7 +1,6 @@
 """Plan of a cell: its commands, and the cache keys by which cells share products. Pure functions.
 
-A key hashes the command of a step, the keys of the products it reads, and the code it runs. Trainings with equal keys
-run once. Anything that changes a result changes its key.
+A key hashes a step's command, the keys of what it reads, and the code it runs. Trainings with equal keys run once.
 """
 
 from __future__ import annotations
@@ -127,7 +126,8 @@ def _learning(
 ) -> tuple[Step, Step]:
     """Returns the dataset that a method trains on last, and that training."""
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
-    method = replace(method, train=(*method.train, *method.train_at.get(scale_name, ())))
+    overriding = (option for where in (scale_name, cell.category) for option in method.train_at.get(where, ()))
+    method = replace(method, train=(*method.train, *overriding))
     if method.data_of:
         others = [replace(cell, method=method.data_of, category=category) for category in scale.categories]
         data = _merge(tuple(_learning(each, declaration, scale_name, code, like=like)[0] for each in others))

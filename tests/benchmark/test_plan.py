@@ -160,6 +160,8 @@ def test_options_of_a_method_win() -> None:
     found = steps(declared(methods=methods, scales=scales))
     command = found[TRAIN].command
     assert (option(command, "--batch_size"), option(command, "--policy.dim_model")) == ("9", "8")
+    methods["ours"]["train_at"][cell().category] = ["--batch_size=11"]
+    assert option(steps(declared(methods=methods, scales=scales))[TRAIN].command, "--batch_size") == "11"
     command = found[EVALUATE].command
     assert (option(command, "--env.episode_length"), option(command, "--env.max_parallel_tasks")) == ("15", "1")
 

@@ -6,7 +6,13 @@ import pytest
 import torch
 from torch import Tensor
 
-from lerobot_policy_adamanip.common.contacts import ContactMemory, contact_events, repeats_failure
+from lerobot_policy_adamanip.common.contacts import (
+    ContactMemory,
+    contact_events,
+    goes_back,
+    is_blocked,
+    repeats_failure,
+)
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import fingers_swapped, motion_between, pose_after
 
@@ -118,3 +124,86 @@ def test_a_failure_elsewhere_forbids_nothing() -> None:
     commands, poses, valid = played((PULL, 0.0))
     poses[:, -1, 0] += 0.1
     assert repeats((commands, poses, valid), PULL) == [False]
+
+
+# Steps that are undone ----------------------------------------------------------------------------------------------
+
+
+def approached(*steps: Step) -> Played:
+    """Returns what an open hand did, in place of the hand that closed: see `played`."""
+    commands, poses, valid = played(*((motion + torch.eye(7)[6], share) for motion, share in steps), opening=1.0)
+    return commands[:, 1:], poses[:, 1:], valid[:, 1:]
+
+
+def back(past: Played, *motions: Tensor) -> list[bool]:
+    return goes_back(*past, contact_events(*past), torch.stack(motions)[None])[0].tolist()
+
+
+FORWARD, ASIDE = 4 * PUSH, 2 * PULL
+CLOSE, RELEASE = torch.zeros(7), torch.eye(7)[6]
+
+
+def to_open(motion: Tensor) -> Tensor:
+    return motion + RELEASE
+
+
+@pytest.mark.parametrize(
+    ("steps", "motion", "expected"),
+    [
+        ([(FORWARD, 1.0)], ASIDE, False),
+        ([(ASIDE, 1.0), (-ASIDE, 1.0)], ASIDE, True),  # wavers between two places
+        ([(ASIDE, 1.0), (-ASIDE, 1.0)], -ASIDE, False),
+        ([(ASIDE, 1.0), (FORWARD, 1.0)], -FORWARD, True),  # from the grasp, without having closed
+        ([(ASIDE, 1.0), (FORWARD, 1.0)], FORWARD, False),
+        ([(FORWARD, 0.1)], 0.9 * FORWARD, True),  # the same way is blocked
+        ([(FORWARD, 0.1), (-FORWARD, 1.0)], 1.8 * FORWARD, False),  # from elsewhere it may be free
+    ],
+)
+def test_an_open_hand_does_not_go_back_before_it_has_closed(steps: list[Step], motion: Tensor, expected: bool) -> None:
+    past = approached(*steps)
+    assert back(past, to_open(motion), motion) == [expected, False]  # closing on the way is something else
+
+
+def test_a_hand_that_has_tried_may_go_back() -> None:
+    """It closed, pulled in vain and let go: the way back to the place of before is no wavering."""
+    commands, poses, valid = approached((FORWARD, 1.0))
+    tried = played((PULL, 0.0), (RELEASE, 1.0))
+    shift = poses[:, -1:, :3] - tried[1][:, :1, :3]
+    for part in tried[:2]:
+        part[..., :3] += shift
+    past = (
+        torch.cat([commands, tried[0]], dim=1),
+        torch.cat([poses, tried[1][:, 1:]], dim=1),
+        torch.cat([valid, tried[2]], dim=1),
+    )
+    assert back(past, to_open(-FORWARD)) == [False]
+
+
+@pytest.mark.parametrize(
+    ("steps", "opening", "expected"),
+    [
+        ([], HOLDING, True),
+        ([(CLOSE, 1.0)], HOLDING, True),  # waiting is no try
+        ([(PULL, 0.0)], HOLDING, False),
+        ([], EMPTY, False),  # nothing to try with
+    ],
+)
+def test_what_is_held_is_tried_before_it_is_let_go(steps: list[Step], opening: float, expected: bool) -> None:
+    assert back(played(*steps, opening=opening), RELEASE, TURN) == [expected, False]
+
+
+@pytest.mark.parametrize(
+    ("steps", "expected"),
+    [
+        ([], False),
+        ([(FORWARD, 0.1)], True),
+        ([(FORWARD, 0.5)], False),
+        ([(-FORWARD, 0.0)], False),
+        ([(CLOSE, 1.0)], False),
+    ],
+)
+def test_the_way_of_an_open_hand_is_blocked_where_it_hardly_moves(steps: list[Step], expected: bool) -> None:
+    past = approached(*steps) if steps else played()
+    assert is_blocked(*past, failed_below=0.25).tolist() == [expected]
+    assert not is_blocked(*past[:2], torch.zeros_like(past[2]), failed_below=0.25).any()
+    assert not is_blocked(*played((FORWARD, 0.0)), failed_below=0.25).any()  # a closed hand tries

@@ -1,7 +1,8 @@
 """Contact events: past key frames that sent a closed hand somewhere. The memory reads no others.
 
 A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
-Approaches, grasps and releases therefore leave no trace here.
+Approaches, grasps and releases therefore leave no trace in the memory. Rules beside it, which are not learnt: a failed
+motion is not repeated until something has moved, and no step is undone before anything was tried.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.events import EVENT_DIM
-from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between
-from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
+from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between, pose_after
+from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d
 
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
+SAME_GOAL_M, SAME_GOAL_RAD = 0.03, 0.5
+"""Goals are the same if they are this near [m, rad]; demonstrated approaches are further apart."""
 
 
 def contact_events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
@@ -80,6 +83,45 @@ def repeats_failure(
     this_grip = since_moved & ~_before(valid & (commands[..., GRIPPER_DIM] >= CLOSED))
     closed = motions[..., -1] < CLOSED
     return (since_moved[..., None] & same).any(dim=1) & closed, (this_grip[..., None] & same).any(dim=1) & closed
+
+
+def goes_back(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
+    """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool; demonstrations have none.
+
+    An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
+    closed one lets go what it holds, without a contact event. Arguments are as in `repeats_failure`.
+    """
+    start, opens = poses[:, :-1], commands[..., GRIPPER_DIM] >= CLOSED
+    was_open = poses[..., GRIPPER_DIM] > OPEN_HAND
+    went = valid & opens & was_open[:, :-1] & ~_before(valid & ~opens)
+    arrived, here = _same_place(commands, poses[:, 1:]), _same_place(start, poses[:, -1:])
+    goals = pose_after(motions, poses[:, -1:])
+    same = _same_place(commands[:, :, None], goals[:, None]) & (went & (arrived | here))[..., None]
+    holds = (poses[:, -1:, GRIPPER_DIM] >= EMPTY_HAND) & ~was_open[:, -1:] & valid[:, -1:] & ~opens[:, -1:]
+    tried = (contact & ~_before(valid & opens)).any(dim=1, keepdim=True)
+    wavers = same.any(dim=1) & was_open[:, -1:]
+    result: Tensor = (wavers | holds & ~tried) & (motions[..., -1] >= CLOSED)
+    return result
+
+
+def is_blocked(commands: Tensor, poses: Tensor, valid: Tensor, *, failed_below: float) -> Tensor:
+    """Returns whether the way of an open hand is blocked (B,): it did less than ``failed_below`` of its last motion.
+
+    A retreat, which is the way out, does not count. Arguments are as in `repeats_failure`.
+    """
+    last, start, end = commands[:, -1], poses[:, -2], poses[:, -1]
+    sent, undone = (last[:, POSITION_DIMS] - each[:, POSITION_DIMS] for each in (start, end))
+    far = sent.norm(dim=-1).clamp(min=FAR_ENOUGH_DISTANCE)
+    ahead = (sent * matrix_from_6d(start[:, ROTATION_DIMS])[..., 2]).sum(dim=-1)
+    is_open = (last[:, GRIPPER_DIM] >= CLOSED) & (start[:, GRIPPER_DIM] > OPEN_HAND)
+    result: Tensor = valid[:, -1] & is_open & (ahead > -far / 2) & (undone.norm(dim=-1) > (1 - failed_below) * far)
+    return result
+
+
+def _same_place(first: Tensor, second: Tensor) -> Tensor:
+    """Returns whether poses (..., 10) are the same but for centimetres, (...)."""
+    near = (first[..., POSITION_DIMS] - second[..., POSITION_DIMS]).norm(dim=-1) < SAME_GOAL_M
+    return near & (angle_between(first[..., ROTATION_DIMS], second[..., ROTATION_DIMS]) < SAME_GOAL_RAD)
 
 
 def _before(event: Tensor) -> Tensor:

@@ -34,6 +34,9 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
 )
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
+GOING_BACK = 20.0
+"""Logit taken from motions that go back: any other one is more probable, but if all do, the likeliest still is."""
+
 
 class MemoryOfChoices(nn.Module):
     """Adds to the logits of anchors what the contact events say of them; exactly zero without a contact event."""
@@ -133,7 +136,8 @@ class AnchorHead:
     def sample(self, model: AnchorNetwork, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor.
 
-        An anchor that leads to nothing is drawn again, up to ``num_draws`` times; if all do, the first one counts.
+        An anchor that leads to nothing is drawn again, up to ``num_draws`` times; if all do, the first one counts. A
+        hand whose way is blocked backs off.
         """
         tool, motions = tool_of(window), model.motions
         logits, residuals, added, past = self.predict(model, window)
@@ -144,6 +148,7 @@ class AnchorHead:
             if self.config.avoid_repeats:
                 failed, failed_now = past.repeats(drawn, self.config.failed_below)
                 rejected, useless = rejected | failed, useless | failed_now
+                logits = logits - GOING_BACK * past.goes_back(drawn)
         opens = motions.anchors[:, -1] >= CLOSED
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
         result, done = None, torch.zeros_like(rejected[:, 0])
@@ -161,6 +166,8 @@ class AnchorHead:
                 break
             rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
         assert result is not None
+        if added is not None and self.config.avoid_repeats:
+            result = past.backed_off(result, self.config.failed_below)
         return result[:, None]
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:

@@ -77,7 +77,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     use_feedback: bool = from_preset()
     # Size of the memory of contact events (fast 64, diffusion 64).
     memory_dim: int = from_preset()
-    # Do not repeat a failed motion of a closed hand until something has moved (fast True, diffusion True).
+    # Do not repeat a failed motion until something has moved, nor undo a step untried (fast True, diffusion True).
     avoid_repeats: bool = from_preset()
     # A motion has failed if the arm did less than this share of it (fast 0.25, diffusion 0.25).
     failed_below: float = from_preset()

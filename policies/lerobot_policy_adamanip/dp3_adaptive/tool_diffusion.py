@@ -94,7 +94,7 @@ class ToolDiffusionHead(DiffusionHead):
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
 
         A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times. If all do, the first one
-        counts; but if all are useless with the present grip, the hand lets go.
+        counts; but if all are useless with the present grip, the hand lets go. A hand whose way is blocked backs off.
         """
         condition, past = self.condition(model, window), past_of(window)
         chunks, usable, useless = self._draw(model, window, condition, past, noise)
@@ -106,7 +106,10 @@ class ToolDiffusionHead(DiffusionHead):
             chunks = torch.where(better[:, None, None], others, chunks)
             usable, useless = usable | fits, useless & again
         released = with_gripper(tool_of(window), 1.0)[:, None]
-        return torch.where(useless[:, None, None], released, chunks)
+        chunks = torch.where(useless[:, None, None], released, chunks)
+        if model.memory is None or not self.config.avoid_repeats:
+            return chunks
+        return torch.cat([past.backed_off(chunks[:, 0], self.config.failed_below)[:, None], chunks[:, 1:]], dim=1)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, past: Past, noise: Tensor | None
@@ -124,5 +127,6 @@ class ToolDiffusionHead(DiffusionHead):
         if model.memory is not None and self.config.avoid_repeats:
             found = past.repeats(motion[:, None], self.config.failed_below)
             failed, failed_now = (part[:, 0] for part in found)
-            rejected, useless = rejected | failed, useless | failed_now
+            rejected = rejected | failed | past.goes_back(motion[:, None])[:, 0]
+            useless = useless | failed_now
         return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, useless

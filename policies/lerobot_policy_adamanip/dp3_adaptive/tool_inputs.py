@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.common import tool_frame
-from lerobot_policy_adamanip.common.contacts import contact_events, repeats_failure
+from lerobot_policy_adamanip.common.contacts import contact_events, goes_back, is_blocked, repeats_failure
 from lerobot_policy_adamanip.common.events import events
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
@@ -47,6 +48,16 @@ class Past:
         """Returns which motions (B, K, 7) would repeat a failure, or one of this grip: `repeats_failure`."""
         past = (self.commands, self.poses, self.valid, self.contact)
         return repeats_failure(*past, motions, failed_below=failed_below)
+
+    def goes_back(self, motions: Tensor) -> Tensor:
+        """Returns which motions (B, K, 7) undo a step before anything was tried: `goes_back`."""
+        return goes_back(self.commands, self.poses, self.valid, self.contact, motions)
+
+    def backed_off(self, pose: Tensor, failed_below: float) -> Tensor:
+        """Returns poses (B, 10), replaced by a retreat where the way of the open hand is blocked: `is_blocked`."""
+        blocked = is_blocked(self.commands, self.poses, self.valid, failed_below=failed_below)
+        retreat = tool_frame.constant((0.0, 0.0, -PRE_GRASP, 0.0, 0.0, 0.0, 1.0), pose).expand(len(pose), -1)
+        return torch.where(blocked[:, None], tool_frame.pose_after(retreat, self.poses[:, -1]), pose)
 
 
 def past_of(window: Window) -> Past:
