@@ -121,7 +121,9 @@ def is_blocked(commands: Tensor, poses: Tensor, valid: Tensor, *, failed_below: 
 def _same_place(first: Tensor, second: Tensor) -> Tensor:
     """Returns whether poses (..., 10) are the same but for centimetres, (...)."""
     near = (first[..., POSITION_DIMS] - second[..., POSITION_DIMS]).norm(dim=-1) < SAME_GOAL_M
-    return near & (angle_between(first[..., ROTATION_DIMS], second[..., ROTATION_DIMS]) < SAME_GOAL_RAD)
+    turned = angle_between(first[..., ROTATION_DIMS], second[..., ROTATION_DIMS])
+    result: Tensor = near & (turned < SAME_GOAL_RAD)
+    return result
 
 
 def _before(event: Tensor) -> Tensor:
