@@ -14,6 +14,7 @@ from lerobot_adamanip.benchmark.result import CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
+from lerobot_adamanip.evaluation.paired import PairedDifference, paired_difference
 from lerobot_adamanip.evaluation.rates import Difference, difference
 
 FEW_KEY_FRAMES = 15
@@ -140,6 +141,27 @@ class BenchmarkReport:
         first, second = (pool(each).success for each in both)
         return difference(first, second)
 
+    def paired(self, method: str, categories: Sequence[str], objects: str, least: str) -> PairedDifference | None:
+        """Returns the reference's share of scenes with at least an outcome minus a method's, in the same scenes.
+
+        Uses the trainings that both have in all categories; None if there are none, or if their scenes differ.
+
+        Args:
+            method: name of the method.
+            categories: categories to pool.
+            objects: split of objects.
+            least: see `paired_difference`.
+        """
+        table = [each for each in self.results if each.cell.objects == objects and each.cell.trials is None]
+        found = {(each.cell.method, each.cell.category, each.cell.seed): each for each in table if each.outcomes}
+        pairs = {}
+        for seed in sorted({seed for _, _, seed in found}):
+            both = [[found.get((name, each, seed)) for name in (self.reference, method)] for each in categories]
+            if all(one and other and _same_scenes(one, other) for one, other in both):
+                pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
+        lengths = {tuple(len(first) for first, _ in each) for each in pairs.values()}
+        return paired_difference(pairs, least) if len(lengths) == 1 else None
+
     def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
         """Returns the available metrics of a method in these categories and splits of objects."""
         places = itertools.product(categories, splits)
@@ -220,6 +242,10 @@ def _entries(
         )
         for place, several in found.items()
     }
+
+
+def _same_scenes(one: CellResult, other: CellResult) -> bool:
+    return (one.scenes, one.scene_seeds, len(one.outcomes)) == (other.scenes, other.scene_seeds, len(other.outcomes))
 
 
 def _place(cell: Cell) -> Place:

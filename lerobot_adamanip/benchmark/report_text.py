@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 
 from lerobot_adamanip.benchmark.paper_rates import (
@@ -14,6 +15,7 @@ from lerobot_adamanip.benchmark.paper_rates import (
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry, Row
 from lerobot_adamanip.benchmark.run import WORDS
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Difference, Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
@@ -54,6 +56,8 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
         yield "Mean success", _means(report)
     yield "Success by category", _success(report)
     yield f"{_title(report, report.reference)} less the others, in points", _differences(report)
+    if paired := _paired(report):
+        yield "In the same scenes", paired
     if report.trials:
         yield "Success against failed trials in the demonstrations", _trials(report)
     yield "Success within a number of key frames", _budgets(report)
@@ -131,15 +135,40 @@ def _differences(report: BenchmarkReport) -> str:
         for row in report.rows_with_results
         if row.name != report.reference
     ]
-    told = "Over all episodes, with 95 % intervals; bold where the interval excludes zero."
-    return f"{markdown_table(['method', *_objects(report)], rows)}\n\n{told}"
+    explanation = "Over all episodes, with 95 % intervals that do not pair the scenes."
+    return f"{markdown_table(['method', *_objects(report)], rows)}\n\n{explanation}"
 
 
-def _difference(gap: Difference | None) -> str:
+def _difference(gap: Difference | PairedDifference | None) -> str:
     if gap is None:
         return "-"
-    text = f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
-    return f"**{text}**" if gap.low > 0 or gap.high < 0 else text
+    return f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+
+
+def _paired(report: BenchmarkReport) -> str:
+    """Returns a table of the paired differences to the reference; empty without outcomes of scenes."""
+    rows = []
+    compared = itertools.product(report.rows_with_results, report.splits, ("all", *report.categories))
+    for row, objects, where in compared:
+        pooled = report.categories if where == "all" else (where,)
+        gaps = [report.paired(row.name, pooled, objects, least) for least in (OPENED, WITHIN_TRIES)]
+        if row.name != report.reference and gaps[0] is not None:
+            cells = [text for gap in gaps for text in (_difference(gap), _by_training(gap) if gap is not None else "-")]
+            rows.append([_name(row), f"{words(where)}, {objects}", *cells])
+    if not rows:
+        return ""
+    within = METRICS["within_best_tries"].title
+    titles = ["method", "category, objects", "opened", "by training", within, "by training"]
+    explanation = (
+        f"{_title(report, report.reference)} less each method in the same scenes, in points: mean over scenes and "
+        "trainings, with a 95 % interval over scenes (Student's t). Trainings deviate too: their differences stand "
+        "beside it. Intervals are not corrected for the number of comparisons."
+    )
+    return f"{markdown_table(titles, rows)}\n\n{explanation}"
+
+
+def _by_training(gap: PairedDifference) -> str:
+    return ", ".join(f"{100 * each:+.0f}" for each in gap.by_training.values())
 
 
 def _trials(report: BenchmarkReport) -> str:

@@ -37,6 +37,7 @@ from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import measure
+from lerobot_adamanip.evaluation.paired import outcomes
 from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util import files
@@ -263,17 +264,16 @@ class BenchmarkRun:
             raise StepError(str(error)) from error
         made = {(record.provenance.fingerprint, record.split) for record in records}
         if len(records) != wanted or made != {(self.code.episodes, scenes)}:
-            told = ", ".join(
-                f"{split} scenes of the code {fingerprint}" for fingerprint, split in sorted(made, key=str)
-            )
+            got = ", ".join(f"{split} scenes of the code {code}" for code, split in sorted(made, key=str))
             raise StepError(
-                f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {told}; not {wanted}, "
+                f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {wanted}, "
                 f"{scenes} scenes of the code {self.code.episodes}."
             )
         return records
 
     def _result(self, cell: Cell, step: Step) -> CellResult:
         method, records, steps = self.declaration.methods[cell.method], self._records(step), named_steps(step)
+        records = without_repeats(records)
         seeds = [record.given_seed for record in records]
         return CellResult(
             cell=cell,
@@ -285,7 +285,8 @@ class BenchmarkRun:
             fingerprint=self.code.episodes,
             **vars(self.origin),
             scene_seeds=(min(seeds), max(seeds)),
-            numbers=measure(without_repeats(records)),
+            numbers=measure(records),
+            outcomes=outcomes(records),
             costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
         )
 

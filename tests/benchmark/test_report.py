@@ -107,7 +107,33 @@ def test_differences_are_those_of_the_rates(cells: Path) -> None:
     assert report.to_reference("ours_on_static", ("bottle", "safe"), "unseen") == gap
     rows = rows_of(benchmark_page(report), "Ours less the others, in points")
     (told,) = (cells[-1] for (name, _), cells in rows.items() if name == "Ours on static")
-    assert told.strip("*") == f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+    assert told == f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+
+
+def test_the_same_scenes_are_compared(cells: Path) -> None:
+    report = report_of(cells)
+    gap = report.paired("ours_on_static", ("bottle", "safe"), "seen", "1")
+    assert gap is not None
+    both = [report.numbers(name, ("bottle", "safe"), ("seen",)) for name in ("ours", "ours_on_static")]
+    first, second = (pool(each).success for each in both)
+    assert gap.difference == pytest.approx((first.count - second.count) / first.episodes)
+    assert tuple(gap.by_training) == (1, 2)
+    rows = rows_of(benchmark_page(report), "In the same scenes")
+    assert rows["Ours on static", "all, seen"][0].startswith(f"{100 * gap.difference:+.0f} [")
+    assert len(rows["Ours on static", "safe, unseen"][1].split(", ")) == 2, "one number a training"
+
+
+def test_trainings_and_scenes_that_both_have_are_compared(cells: Path) -> None:
+    (cells / "ours-safe-seen-2.json").unlink()
+    gap = report_of(cells).paired("untrained", ("bottle", "safe"), "seen", "1")
+    assert gap is not None
+    assert tuple(gap.by_training) == (1,)
+    path = cells / "ours-safe-seen-1.json"
+    write_cell(path, dataclasses.replace(read_cell(path), scene_seeds=(0, 4)))
+    assert report_of(cells).paired("untrained", ("bottle", "safe"), "seen", "1") is None
+    for each in cells.iterdir():
+        write_cell(each, dataclasses.replace(read_cell(each), outcomes=""))
+    assert "In the same scenes" not in benchmark_page(report_of(cells))
 
 
 def test_curves_over_trials_and_key_frames(cells: Path) -> None:

@@ -1,0 +1,57 @@
+"""Paired comparison: two policies in the same scenes. Pure functions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.tries import within_best_tries
+
+FAILED, OPENED, WITHIN_TRIES = "0", "1", "2"
+"""Outcome of a scene: failed; opened; opened within the failed tries that the best strategy needs at worst."""
+
+
+@dataclass(frozen=True)
+class PairedDifference:
+    """Difference of two success rates in the same scenes.
+
+    Attributes:
+        difference: mean over scenes and trainings.
+        low, high: 95 % interval over the scenes (Student's t); the spread between trainings is not in it.
+        by_training: training seed -> difference.
+    """
+
+    difference: float
+    low: float
+    high: float
+    by_training: Mapping[int, float]
+
+
+def outcomes(records: Iterable[EpisodeRecord]) -> str:
+    """Returns the outcomes of an evaluation's scenes in the order of their seeds, one digit each."""
+    in_order = sorted(records, key=lambda record: record.given_seed)
+    return "".join(WITHIN_TRIES if within_best_tries(each) else OPENED if each.success else FAILED for each in in_order)
+
+
+def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], least: str) -> PairedDifference:
+    """Returns the share of scenes with at least an outcome, of the first policy minus that of the second.
+
+    Args:
+        pairs: training seed -> outcomes of both policies in some evaluations; the same evaluations for each seed.
+        least: `OPENED` or `WITHIN_TRIES`.
+    """
+    gaps = {
+        seed: np.array([(a >= least) - (b >= least) for pair in each for a, b in zip(*pair, strict=True)], float)
+        for seed, each in pairs.items()
+    }
+    scenes = np.mean(list(gaps.values()), axis=0)
+    mean, low, high = scenes.mean(), -1.0, 1.0
+    if len(scenes) > 1:
+        interval = stats.ttest_1samp(scenes, 0.0).confidence_interval()
+        low, high = (interval.low, interval.high) if scenes.std() else (mean, mean)
+    by_training = {seed: float(gap.mean()) for seed, gap in gaps.items()}
+    return PairedDifference(float(mean), max(-1.0, float(low)), min(1.0, float(high)), by_training)

@@ -1,0 +1,58 @@
+"""Two policies in the same scenes: the difference, its interval, and what each training says."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from records import record
+
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, outcomes, paired_difference
+from lerobot_adamanip.evaluation.rates import difference, rate
+
+digits = st.text("012", min_size=40, max_size=40)
+
+
+def test_outcomes_are_in_the_order_of_the_seeds() -> None:
+    within, opened = record(given_seed=7), record(given_seed=3, blocked_pulls=4)
+    assert outcomes([within, record(given_seed=5, success=False), opened]) == "102"
+
+
+@given(digits, digits, digits, digits)
+def test_it_is_the_difference_of_the_rates_and_has_two_sides(a: str, b: str, c: str, d: str) -> None:
+    for least in (OPENED, WITHIN_TRIES):
+        there = paired_difference({1: [(a, b)], 2: [(c, d)]}, least)
+        back = paired_difference({1: [(b, a)], 2: [(d, c)]}, least)
+        shares = [np.mean([each >= least for each in text]) for text in (a + c, b + d)]
+        assert there.difference == pytest.approx(shares[0] - shares[1])
+        assert (back.difference, back.low, back.high) == pytest.approx((-there.difference, -there.high, -there.low))
+        assert there.low <= there.difference <= there.high
+        assert np.mean(list(there.by_training.values())) == pytest.approx(there.difference)
+
+
+def test_scenes_that_both_open_do_not_widen_it() -> None:
+    """Both policies fail in the hard scenes: paired, a small gain is certain; unpaired, it is not."""
+    first, second = "2" * 60 + "0" * 40, "2" * 50 + "0" * 50
+    paired = paired_difference({1: [(first, second)]}, OPENED)
+    assert paired.low > 0 > difference(rate(60, 100), rate(50, 100)).low
+
+
+def test_its_interval_covers_the_truth() -> None:
+    generator, true, covered = np.random.default_rng(0), 0.15, 0
+    for _ in range(400):
+        both = generator.choice(4, size=100, p=[0.5, 0.2, 0.05, 0.25])  # both, first alone, second alone, none
+        pair = (
+            "".join("2" if each < 2 else "0" for each in both),
+            "".join("2" if each % 2 == 0 else "0" for each in both),
+        )
+        found = paired_difference({1: [pair]}, OPENED)
+        covered += found.low <= true <= found.high
+    assert 0.92 < covered / 400 < 0.98
+
+
+def test_evaluations_of_all_categories_are_one_sample() -> None:
+    apart = paired_difference({1: [("2200", "2000"), ("1111", "0000")]}, OPENED)
+    assert apart == paired_difference({1: [("22001111", "20000000")]}, OPENED)
+    assert apart.by_training == {1: 5 / 8}
+    assert paired_difference({1: [("2", "0")]}, OPENED).low == -1.0, "one scene says nothing"
