@@ -144,6 +144,7 @@ def test_a_direction_that_never_changes_costs_nothing() -> None:
         ({"turn_range": 1.1}, 1),
         ({"direction": -1, "turn_range": 1.1}, 2),
         ({"locked": False, "direction": 1}, 2),
+        ({"locked": True, "direction": 1, "knob_range": 1.2}, 3),
         ({"mode": 0}, 2),
     ],
 )
