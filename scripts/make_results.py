@@ -15,7 +15,7 @@ from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, results_page, with_block
@@ -40,12 +40,19 @@ def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[Benchm
                 yield make_report(results, declaration, scale, present)
 
 
+def _is_current(report: BenchmarkReport) -> bool:
+    """Returns whether all results are of test scenes, the present code and the declared options."""
+    changed = any(entry.other_code or entry.other_options for entry in report.entries.values())
+    return report.scenes == "test" and not changed
+
+
 def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     """Returns document -> text."""
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present))
+    tables = [summary(report) for report in reports if _is_current(report)]
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
     pages = (benchmark_page(report, level=2) for report in reports)
     parts = (results_page(results, present), *pages)
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))

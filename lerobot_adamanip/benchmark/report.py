@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import PairedDifference, paired_difference
-from lerobot_adamanip.evaluation.rates import Difference, difference
+from lerobot_adamanip.evaluation.rates import Difference, Rate, difference
 
 FEW_KEY_FRAMES = 15
 BUDGETS = (10, FEW_KEY_FRAMES, 25, MAX_KEY_FRAMES)
@@ -116,19 +116,20 @@ class BenchmarkReport:
         there = {place[2] for place in self.entries if place[1] is None}
         return tuple(category for category in self.categories if category in there)
 
-    def mean(self, method: str, objects: str, within: int | None = None) -> float | None:
-        """Returns a method's mean success over the categories, equally weighted; None if a category is missing.
+    def mean(
+        self, method: str, objects: str, share: Callable[[Metrics], Rate | None] = lambda numbers: numbers.success
+    ) -> float | None:
+        """Returns the mean of a method's rates over the categories, equally weighted; None if one is missing.
 
         Args:
             method: name of the method.
             objects: split of objects.
-            within: key frame budget; later successes do not count.
+            share: metrics -> rate; by default the success.
         """
-        numbers = self.numbers(method, self.categories, (objects,))
-        if len(numbers) < len(self.categories):
+        rates = [share(each) for each in self.numbers(method, self.categories, (objects,))]
+        if len(rates) < len(self.categories) or None in rates:
             return None
-        rates = [each.success if within is None else each.opened_within(within) for each in numbers]
-        return sum(each.rate or 0.0 for each in rates) / len(rates)
+        return sum(each.rate or 0.0 for each in rates if each is not None) / len(rates)
 
     def to_reference(self, method: str, categories: Sequence[str], objects: str) -> Difference | None:
         """Returns the reference's success minus a method's, over the pooled episodes of the categories.

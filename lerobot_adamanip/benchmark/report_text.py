@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Iterator
 
 from lerobot_adamanip.benchmark.paper_rates import (
@@ -46,6 +47,22 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
     for title, body in _sections(report):
         parts += [f"{inner} {title}\n", f"{body}\n"]
     return "\n".join(parts)
+
+
+def summary(report: BenchmarkReport) -> str:
+    """Returns the means of the methods that have results of all categories, as a short table; empty without any."""
+    within = operator.attrgetter("within_best_tries")
+    rows = []
+    for row in report.rows_with_results:
+        means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", within)]
+        means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
+        if means[0] is not None:
+            rows.append([_name(row), *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)])
+    others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
+    titles = ["method", "opened, seen objects", METRICS["within_best_tries"].title, *others]
+    number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
+    explanation = f"Means over {len(report.categories)} categories, {number} each, {report.scenes} scenes."
+    return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
 
 
 def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
@@ -191,7 +208,7 @@ def _budgets(report: BenchmarkReport) -> str:
     rows = []
     for row in report.rows:
         for objects in report.splits:
-            means = [report.mean(row.name, objects, within=budget) for budget in BUDGETS]
+            means = [report.mean(row.name, objects, operator.methodcaller("opened_within", each)) for each in BUDGETS]
             if means[-1] is not None:
                 rows.append([_name(row), objects, *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)])
     if not rows:

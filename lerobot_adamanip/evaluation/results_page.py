@@ -57,11 +57,11 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
             yield {"result": name, "fingerprint": result.fingerprint, **labels}, row.metrics
 
 
-def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> str:
+def readme_block(results: Mapping[str, ResultFile], present: Container[str], tables: Iterable[str] = ()) -> str:
     """Returns the README block with both markers: results of the paper's preset with the present fingerprint.
 
     Policy selection used the validation scenes, so the block omits them once test scenes have results. It also omits
-    experts once a policy has results. A single number gets no table.
+    experts once a policy has results. A single number gets no table. ``tables`` follow as they are.
     """
     known = (result for result in results.values() if result.fingerprint in present)
     fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
@@ -72,6 +72,7 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str]) -> 
         single = len(result.rows) == 1
         told = f" {result.rows[0].metrics.show('success')}" if single else f"\n\n{success_table(result)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
+    parts += [f"{table}\n" for table in tables]
     parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
     return "\n".join([*parts, END])
 

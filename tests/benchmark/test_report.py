@@ -17,7 +17,7 @@ from PIL import Image
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page
+from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
 from lerobot_adamanip.benchmark.result import CellResult, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.evaluation.metrics import pool
 from lerobot_adamanip.evaluation.provenance import machine_text
@@ -77,6 +77,24 @@ def test_trainings_are_counted_together(cells: Path) -> None:
     mean = report.mean("ours", "seen")
     assert mean == pytest.approx(sum(share or 0.0 for share in shares) / 2)
     assert means_of(benchmark_page(report))["Ours"][0] == f"{100 * (mean or 0.0):.1f} %"
+
+
+def test_the_summary_has_the_methods_with_all_categories(cells: Path) -> None:
+    (cells / "untrained-safe-seen-1.json").unlink()
+    (cells / "untrained-safe-seen-2.json").unlink()
+    report = report_of(cells)
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in summary(report).splitlines()]
+    rows = {line[0]: line[1:] for line in lines}
+    assert set(rows) >= {"Ours", "Ours on static"}
+    assert "Untrained" not in rows
+    within = report.mean("ours", "seen", lambda numbers: numbers.within_best_tries)
+    means = [report.mean("ours", "seen"), within, report.mean("ours", "unseen")]
+    assert rows["Ours"] == [f"{100 * (mean or 0.0):.1f} %" for mean in means]
+    assert within is not None
+    assert within <= (report.mean("ours", "seen") or 0.0)
+    for path in cells.iterdir():
+        path.unlink()
+    assert summary(report_of(cells)) == ""
 
 
 def test_the_table_stands_beside_the_papers(cells: Path) -> None:
