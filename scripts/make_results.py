@@ -1,5 +1,6 @@
-"""Writes docs/results.md, docs/results.csv and the README's results: ``python scripts/make_results.py [--check]``.
+"""Writes the results of docs and README: ``python scripts/make_results.py [--check]``.
 
+The documents are docs/results.md, docs/results.csv, docs/leaderboard.md and the README's block of results.
 The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. Numbers with another
 fingerprint than the current code are not in the README; docs/results.md marks them.
 """
@@ -14,9 +15,10 @@ from pathlib import Path
 from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
+from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
-from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.benchmark.result import CellResult, read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, results_page, with_block
 from lerobot_adamanip.evaluation.tables import csv_table
@@ -24,7 +26,8 @@ from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json", "policies.json", "experts.json")
 """Result files for the README. docs/results.md shows all."""
-PAGE, README, RESULTS = ROOT / "docs" / "results.md", ROOT / "README.md", ROOT / "results"
+PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
+README, RESULTS = ROOT / "README.md", ROOT / "results"
 
 
 def read_results(folder: Path) -> dict[str, ResultFile]:
@@ -38,6 +41,14 @@ def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[Benchm
         for scale in declaration.scales:
             if results := read_cells(folder / "benchmark" / scale):
                 yield make_report(results, declaration, scale, present)
+
+
+def entries(folder: Path, present: Collection[str]) -> dict[str, list[CellResult]]:
+    """Returns name -> result files of the leaderboard's entries; those that break its rule are left out."""
+    found = {path.name: read_cells(path) for path in sorted((folder / "leaderboard").glob("*/"))}
+    for result in read_cells(folder / "benchmark" / "test"):
+        found.setdefault(f"{result.title} (this project)", []).append(result)
+    return {name: results for name, results in found.items() if not any(violations(results, present))}
 
 
 def _is_current(report: BenchmarkReport) -> bool:
@@ -56,7 +67,8 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     pages = (benchmark_page(report, level=2) for report in reports)
     parts = (results_page(results, present), *pages)
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
-    return {PAGE: "\n".join(parts), PAGE.with_suffix(".csv"): numbers, README: readme}
+    board = leaderboard_page(entries(folder, present))
+    return {PAGE: "\n".join(parts), PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board}
 
 
 def main() -> int:

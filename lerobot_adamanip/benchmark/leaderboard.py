@@ -1,0 +1,114 @@
+"""Leaderboard: methods evaluated on the same test scenes, from result files alone. Pure functions."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
+from lerobot_adamanip.benchmark.plan import EVALUATE
+from lerobot_adamanip.benchmark.result import CellResult
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
+from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.evaluation.text_format import counted, markdown_table
+
+EPISODES = 100
+"""Least number of episodes of each category and split of objects."""
+FIXED: Mapping[str, str] = {
+    "--env.split": "test",
+    "--seed": "700000",
+    "--env.poses": "randomized",
+    "--env.mechanism_rules": "paper",
+}
+"""Options of the evaluation that every entry has."""
+FREE = (
+    "--env.type",
+    "--env.objects",
+    "--env.num_points",
+    "--env.image_size",
+    "--env.observe_images",
+    "--env.episode_log",
+)
+"""Options of the environment that an entry may choose, or that differ by category."""
+RULE = f"""An entry is a folder of result files, by pull request to `results/leaderboard/NAME/`. `adamanip benchmark`
+makes them, with a declaration of your method and a scale like `test` of
+`lerobot_adamanip/benchmark/default_policy.toml`:
+
+- all nine categories on seen, unseen and novel objects, {EPISODES} or more episodes each;
+- `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and no other option
+  of the environment that changes episodes;
+- a commit without changes, and the present simulator and mechanisms.
+
+Choose your method on validation scenes, and run the test scenes once. What files can show is checked by
+`python scripts/check_entry.py results/leaderboard/NAME`. How to declare a method: [extending](extending_policy.md).
+"""
+
+
+def violations(results: Sequence[CellResult], present: Collection[str]) -> Iterator[str]:
+    """Yields what keeps result files from being an entry, a sentence each.
+
+    Args:
+        results: of one method.
+        present: fingerprints of the present code.
+    """
+    for result in results:
+        yield from (f"{result.cell.name}: {reason}" for reason in _of_cell(result, present))
+    if methods := {result.cell.method for result in results} - {results[0].cell.method if results else ""}:
+        yield f"several methods: {', '.join(sorted({results[0].cell.method, *methods}))}"
+    there = {(result.cell.category, result.cell.objects) for result in results}
+    missing = [
+        f"{category} {objects}"
+        for category in CATEGORIES
+        for objects in OBJECT_SPLITS
+        if (category, objects) not in there
+    ]
+    if missing:
+        yield f"no result of {', '.join(missing)}"
+
+
+def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
+    words = [word.partition("=")[::2] for word in shlex.split(result.steps[EVALUATE].command)]
+    given = {name: value for name, value in words if name.startswith("--env.") or name == "--seed"}
+    for name, value in FIXED.items():
+        if given.get(name) != value:
+            yield f"{name}={given.get(name)}, not {value}"
+    if others := sorted(set(given) - {*FIXED, *FREE}):
+        yield f"{', '.join(others)} must keep the default"
+    if result.numbers.success.episodes < EPISODES:
+        yield f"{counted(result.numbers.success.episodes, 'episode')}, not {EPISODES}"
+    if result.changed or result.commit is None:
+        yield "made from a commit with changes, or from none"
+    if result.fingerprint not in present:
+        yield "made with another simulator or other mechanisms than the present ones"
+
+
+def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:
+    """Returns the leaderboard as Markdown; ``entries`` are the result files of each, best first on the page."""
+    rows = sorted(
+        ((_means(results), name, results) for name, results in entries.items()), key=lambda row: row[0], reverse=True
+    )
+    titles = [
+        "entry",
+        METRICS["within_best_tries"].title,
+        *(f"opened, {objects}" for objects in OBJECT_SPLITS),
+        "trainings",
+    ]
+    lines = []
+    for means, name, results in rows:
+        trainings = str(len({result.cell.seed for result in results}))
+        lines.append([name, *(f"{100 * mean:.1f} %" for mean in means), trainings])
+    table = markdown_table(titles, lines) if lines else "No entry yet."
+    explanation = "Means over nine categories; the first column is of seen objects and decides the order."
+    return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"
+
+
+def _means(results: Iterable[CellResult]) -> list[float]:
+    """Returns the mean within the best strategy's tries on seen objects, and the mean success by split of objects."""
+    found: dict[tuple[str, str], list[Metrics]] = {}
+    for result in results:
+        found.setdefault((result.cell.objects, result.cell.category), []).append(result.numbers)
+    pooled = {place: pool(several) for place, several in found.items()}
+    shares: list[list[Rate | None]] = [[pooled["seen", category].within_best_tries for category in CATEGORIES]]
+    shares += [[pooled[objects, category].success for category in CATEGORIES] for objects in OBJECT_SPLITS]
+    return [sum(each.rate or 0.0 for each in rates if each) / len(CATEGORIES) for rates in shares]

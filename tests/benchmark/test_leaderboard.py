@@ -1,0 +1,88 @@
+"""The leaderboard's rule, and its order."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, declared, run_all
+
+from lerobot_adamanip.benchmark import leaderboard
+from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
+from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
+from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cells
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.rates import rate
+
+PRESENT = {CODE.episodes}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> CellResult:
+    """A result of one cell by the rule."""
+    folder = tmp_path_factory.mktemp("leaderboard")
+    scale = {**content()["scales"][SCALE], "splits": ["seen"], "evaluate": ["--seed=700000"]}
+    methods = {"ours": content()["methods"]["ours"]}
+    run_all(benchmark(folder / "out", FakeRunner(folder), declared(scales={SCALE: scale}, methods=methods)))
+    (result,) = read_cells(folder / "out" / "cells")
+    return result
+
+
+def entry(made: CellResult, share: float = 1.0, **changes: Any) -> list[CellResult]:
+    """An entry that opens a share of all scenes, half of them within the best strategy's tries."""
+    success, within = rate(round(100 * share), 100), rate(round(50 * share), 100)
+    numbers = dataclasses.replace(made.numbers, success=success, within_best_tries=within)
+    whole = dataclasses.replace(made, numbers=numbers, **changes)
+    return [
+        dataclasses.replace(whole, cell=Cell(method="ours", category=category, objects=objects, seed=1000, trials=None))
+        for category in CATEGORIES
+        for objects in OBJECT_SPLITS
+    ]
+
+
+def asked(made: CellResult, *options: str) -> dict[str, Any]:
+    step = made.steps["evaluate"]
+    return {"steps": {**made.steps, "evaluate": StepDone(key=step.key, command=" ".join([step.command, *options]))}}
+
+
+def test_an_entry_by_the_rule_breaks_nothing(made: CellResult) -> None:
+    assert list(violations(entry(made), PRESENT)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"changed": True}, "changes"),
+        ({"commit": None}, "from none"),
+        ({"fingerprint": "e" * 16}, "another simulator"),
+        ("--env.split=validation", "--env.split=validation, not test"),
+        ("--seed=1", "--seed=1, not 700000"),
+        ("--env.mechanism_rules=upstream", "not paper"),
+        ("--env.episode_length=99", "--env.episode_length must keep the default"),
+    ],
+)
+def test_what_breaks_the_rule_is_said(made: CellResult, changes: Any, said: str) -> None:
+    given = asked(made, changes) if isinstance(changes, str) else changes
+    found = list(violations(entry(made, **given), PRESENT))
+    assert len(found) == len(CATEGORIES) * len(OBJECT_SPLITS)
+    assert all(said in each for each in found)
+
+
+def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellResult) -> None:
+    whole = entry(made)
+    (found,) = violations(whole[1:], PRESENT)
+    assert found == f"no result of {whole[0].cell.category} {whole[0].cell.objects}"
+    other = dataclasses.replace(whole[0], cell=dataclasses.replace(whole[0].cell, method="other"))
+    assert "several methods: other, ours" in list(violations([*whole, other], PRESENT))
+    few = [dataclasses.replace(each, numbers=made.numbers) for each in whole]
+    assert all(f"not {leaderboard.EPISODES}" in each for each in violations(few, PRESENT))
+
+
+def test_the_best_stands_first(made: CellResult) -> None:
+    page = leaderboard_page({"weak": entry(made, 0.4), "strong": entry(made, 0.8)})
+    lines = [line for line in page.splitlines() if line.startswith("| ")]
+    assert [line.split(" | ")[0].strip("| ") for line in lines[-2:]] == ["strong", "weak"]
+    assert "| 40.0 % | 80.0 % | 80.0 % | 80.0 % |" in lines[-2]
+    assert "No entry yet." in leaderboard_page({})
