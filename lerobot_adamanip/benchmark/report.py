@@ -14,7 +14,7 @@ from lerobot_adamanip.benchmark.result import CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
-from lerobot_adamanip.evaluation.paired import PairedDifference, paired_difference
+from lerobot_adamanip.evaluation.paired import FAILED, MOST_TRIES, PairedDifference, paired_difference
 from lerobot_adamanip.evaluation.rates import Difference, Rate, difference
 
 FEW_KEY_FRAMES = 15
@@ -162,6 +162,24 @@ class BenchmarkReport:
                 pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
         lengths = {tuple(len(first) for first, _ in each) for each in pairs.values()}
         return paired_difference(pairs, least) if len(lengths) == 1 else None
+
+    def opened_with(self, method: str, objects: str) -> list[float]:
+        """Returns the share of scenes opened with at most 0, 1, ... `MOST_TRIES` - 1 failed tries.
+
+        The mean over the categories with results, equally weighted; empty for results of earlier versions.
+        """
+        found: dict[str, list[int]] = {}
+        for each in self.results:
+            if (each.cell.method, each.cell.objects, each.cell.trials) == (method, objects, None):
+                tries = [
+                    int(b) if a != FAILED else MOST_TRIES
+                    for a, b in zip(each.outcomes, each.failed_tries, strict=False)
+                ]
+                found.setdefault(each.cell.category, []).extend(tries)
+        shares = [
+            [sum(n <= k for n in tries) / len(tries) for k in range(MOST_TRIES)] for tries in found.values() if tries
+        ]
+        return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
     def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
         """Returns the available metrics of a method in these categories and splits of objects."""

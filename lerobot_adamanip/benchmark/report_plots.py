@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +18,24 @@ _LEGEND_COLUMN_INCH = 3.4
 
 def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
     """Draws all plots that have data into a folder; returns their paths."""
-    success = [_plot_success(report, folder)] if report.categories_with_results else []
-    return [*success, *([_plot_trials(report, folder)] if report.curves else [])]
+    paths = [_plot_success(report, folder)] if report.categories_with_results else []
+    paths += [_plot_trials(report, folder)] if report.curves else []
+    curves = {row.title: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
+    return paths + ([_plot_tries(report, curves, folder)] if any(curves.values()) else [])
+
+
+def _plot_tries(report: BenchmarkReport, curves: Mapping[str, list[float]], folder: Path) -> Path:
+    """Draws the success of each method, by its title, over the failed tries that an episode may have."""
+    figure = new_figure(6.5, 4.0)
+    axes = figure.subplots()
+    for title, shares in curves.items():
+        if shares:
+            axes.plot(range(len(shares)), [100 * share for share in shares], marker="o", label=title)
+    axes.set(xlabel="failed tries at most", ylabel=f"success [%], {report.splits[0]} objects", ylim=(0, 103))
+    axes.legend(frameon=False, fontsize=8)
+    path = folder / "tries.png"
+    save_figure(figure, f"Success within a number of failed tries, {report.scenes} scenes", path)
+    return path
 
 
 def _plot_success(report: BenchmarkReport, folder: Path) -> Path:

@@ -64,7 +64,8 @@ class CellResult(Origin):
         fingerprint: of the code that decided the episodes.
         scene_seeds: first and last seed of the scenes.
         numbers: metrics of the episodes.
-        outcomes: of the scenes, see `lerobot_adamanip.evaluation.paired`; empty in results of earlier versions.
+        outcomes, failed_tries: of the scenes, see `lerobot_adamanip.evaluation.paired`; empty in results of earlier
+            versions.
         costs: name of step -> cost; differs in every run.
     """
 
@@ -79,6 +80,7 @@ class CellResult(Origin):
     numbers: Annotated[Metrics, Metrics.from_json]
     costs: Annotated[Mapping[str, StepCost], mapping(_STEP_NAME, record(StepCost), 100)]
     outcomes: Annotated[str, text(r"[012]{0,100000}", "a digit 0, 1 or 2 for each scene")] = ""
+    failed_tries: Annotated[str, text(r"[0-9]{0,100000}", "a digit for each scene")] = ""
     schema: Annotated[int, integer(1, 1)] = 1
 
     @property

@@ -37,7 +37,7 @@ from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import measure
-from lerobot_adamanip.evaluation.paired import outcomes
+from lerobot_adamanip.evaluation.paired import failed_tries, outcomes
 from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util import files
@@ -287,6 +287,7 @@ class BenchmarkRun:
             scene_seeds=(min(seeds), max(seeds)),
             numbers=measure(records),
             outcomes=outcomes(records),
+            failed_tries=failed_tries(records),
             costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
         )
 

@@ -14,6 +14,8 @@ from lerobot_adamanip.evaluation.tries import within_best_tries
 FAILED, OPENED, WITHIN_TRIES = "0", "1", "2"
 """Outcome of a scene: failed; opened; opened within the failed tries that the best strategy needs at worst."""
 
+MOST_TRIES = 9
+
 
 @dataclass(frozen=True)
 class PairedDifference:
@@ -33,8 +35,18 @@ class PairedDifference:
 
 def outcomes(records: Iterable[EpisodeRecord]) -> str:
     """Returns the outcomes of an evaluation's scenes in the order of their seeds, one digit each."""
-    in_order = sorted(records, key=lambda record: record.given_seed)
-    return "".join(WITHIN_TRIES if within_best_tries(each) else OPENED if each.success else FAILED for each in in_order)
+    return "".join(
+        WITHIN_TRIES if within_best_tries(each) else OPENED if each.success else FAILED for each in _in_order(records)
+    )
+
+
+def failed_tries(records: Iterable[EpisodeRecord]) -> str:
+    """Returns the failed tries in an evaluation's scenes in the order of their seeds, one digit each, 9 for more."""
+    return "".join(str(min(each.failed_tries, MOST_TRIES)) for each in _in_order(records))
+
+
+def _in_order(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+    return sorted(records, key=lambda record: record.given_seed)
 
 
 def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], least: str) -> PairedDifference:

@@ -154,6 +154,19 @@ def test_trainings_and_scenes_that_both_have_are_compared(cells: Path) -> None:
     assert "In the same scenes" not in benchmark_page(report_of(cells))
 
 
+def test_the_curve_over_failed_tries_rises_to_the_success(cells: Path) -> None:
+    path, shares = cells / "ours-safe-seen-1.json", report_of(cells).opened_with("ours", "seen")
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(report_of(cells).mean("ours", "seen"))
+    for each in cells.glob("ours-*-seen-*.json"):
+        each.unlink() if each != path else write_cell(
+            path, dataclasses.replace(read_cell(path), outcomes="20121", failed_tries="09230")
+        )
+    (cells / "ours-bottle-seen-1-trials1.json").unlink(missing_ok=True)
+    assert report_of(cells).opened_with("ours", "seen")[:5] == pytest.approx([0.4, 0.4, 0.6, 0.8, 0.8])
+    assert report_of(cells).opened_with("ours", "novel") == []
+
+
 def test_curves_over_trials_and_key_frames(cells: Path) -> None:
     report = report_of(cells)
     page = benchmark_page(report)
@@ -214,8 +227,8 @@ def test_a_method_without_a_result_has_a_line_and_no_row(cells: Path, tmp_path: 
     assert ("safe", "Ours on static") not in rows_of(page, "Success by category")
     assert "Declared and not run: 22 cells. No result of: Ours on static.\n" in page
     assert report.categories_with_results == ("safe",)
-    (picture,) = plot_report(report, tmp_path)
-    with Image.open(picture) as image:
+    success, _ = plot_report(report, tmp_path)
+    with Image.open(success) as image:
         assert image.width < 1200
 
 
@@ -277,7 +290,7 @@ def test_no_result_is_no_table(tmp_path: Path) -> None:
 def test_pictures_are_drawn_also_where_a_number_is_missing(cells: Path, tmp_path: Path) -> None:
     (cells / "untrained-bottle-seen-1.json").unlink()
     paths = plot_report(report_of(cells), tmp_path / "new")
-    assert [path.name for path in paths] == ["success.png", "trials.png"]
+    assert [path.name for path in paths] == ["success.png", "trials.png", "tries.png"]
     for path in paths:
         with Image.open(path) as image:
             colors = image.convert("RGB").getcolors(1 << 24)

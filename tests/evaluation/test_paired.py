@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records import record
 
-from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, outcomes, paired_difference
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, failed_tries, outcomes, paired_difference
 from lerobot_adamanip.evaluation.rates import difference, rate
 
 digits = st.text("012", min_size=40, max_size=40)
@@ -16,7 +16,9 @@ digits = st.text("012", min_size=40, max_size=40)
 
 def test_outcomes_are_in_the_order_of_the_seeds() -> None:
     within, opened = record(given_seed=7), record(given_seed=3, blocked_pulls=4)
-    assert outcomes([within, record(given_seed=5, success=False), opened]) == "102"
+    failed = record(given_seed=5, success=False, wrong_turns=12)
+    assert outcomes([within, failed, opened]) == "102"
+    assert failed_tries([within, failed, opened]) == "490"
 
 
 @given(digits, digits, digits, digits)
