@@ -2,81 +2,76 @@
 
 from __future__ import annotations
 
+import itertools
 import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import EVALUATE
-from lerobot_adamanip.benchmark.result import CellResult
+from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, markdown_table
 
 EPISODES = 100
-"""Least number of episodes of each category and split of objects."""
+"""Number of episodes of each category and split of objects."""
 FIXED: Mapping[str, str] = {
     "--env.split": "test",
     "--seed": "700000",
     "--env.poses": "randomized",
     "--env.mechanism_rules": "paper",
 }
-"""Options of the evaluation that every entry has."""
-FREE = (
-    "--env.type",
-    "--env.objects",
-    "--env.num_points",
-    "--env.image_size",
-    "--env.observe_images",
-    "--env.episode_log",
-)
-"""Options of the environment that an entry may choose, or that differ by category."""
+"""Options of every entry's evaluations."""
 RULE = f"""An entry is a folder of result files, by pull request to `results/leaderboard/NAME/`. `adamanip benchmark`
 makes them, with a declaration of your method and a scale like `test` of
 `lerobot_adamanip/benchmark/default_policy.toml`:
 
-- all nine categories on seen, unseen and novel objects, {EPISODES} or more episodes each;
-- `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and no other option
-  of the environment that changes episodes;
-- a commit without changes, and the present simulator and mechanisms.
+- all nine categories on seen, unseen and novel objects, with each training seed, {EPISODES} episodes each;
+- `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and of the other
+  options of the environment only objects, num_points, image_size, observe_images and episode_log;
+- a commit without changes, and the present simulator and mechanisms: an entry leaves the page when these change.
 
-Choose your method on validation scenes, and run the test scenes once. What files can show is checked by
-`python scripts/check_entry.py results/leaderboard/NAME`. How to declare a method: [extending](extending_policy.md).
+Choose your method on validation scenes, and run the test scenes once.
+`python scripts/check_entry.py results/leaderboard/NAME` checks the files. How to declare a method:
+[extending](extending_policy.md).
 """
 
 
 def violations(results: Sequence[CellResult], present: Collection[str]) -> Iterator[str]:
-    """Yields what keeps result files from being an entry, a sentence each.
+    """Yields the broken rules, one sentence each.
 
     Args:
         results: of one method.
         present: fingerprints of the present code.
     """
+    if not results:
+        yield "no result files"
     for result in results:
         yield from (f"{result.cell.name}: {reason}" for reason in _of_cell(result, present))
-    if methods := {result.cell.method for result in results} - {results[0].cell.method if results else ""}:
-        yield f"several methods: {', '.join(sorted({results[0].cell.method, *methods}))}"
-    there = {(result.cell.category, result.cell.objects) for result in results}
-    missing = [
-        f"{category} {objects}"
-        for category in CATEGORIES
-        for objects in OBJECT_SPLITS
-        if (category, objects) not in there
-    ]
-    if missing:
+    if len(methods := sorted({result.cell.method for result in results})) > 1:
+        yield f"several methods: {', '.join(methods)}"
+    present_cells = {(each.cell.category, each.cell.objects, each.cell.seed) for each in results}
+    seeds = sorted({each.cell.seed for each in results})
+    cells = itertools.product(CATEGORIES, OBJECT_SPLITS, seeds)
+    if missing := [" ".join(map(str, each)) for each in cells if each not in present_cells]:
         yield f"no result of {', '.join(missing)}"
 
 
 def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
+    cell, numbers = result.cell, result.numbers
     words = [word.partition("=")[::2] for word in shlex.split(result.steps[EVALUATE].command)]
-    given = {name: value for name, value in words if name.startswith("--env.") or name == "--seed"}
-    for name, value in FIXED.items():
+    given = {name: value for name, value in words if name.startswith("--env") or name in ("--seed", "--config_path")}
+    expected = {**FIXED, "--env.type": f"adamanip_{cell.category}", "--env.objects": cell.objects}
+    for name, value in expected.items():
         if given.get(name) != value:
             yield f"{name}={given.get(name)}, not {value}"
-    if others := sorted(set(given) - {*FIXED, *FREE}):
+    if others := sorted(set(given) - {*expected, *OBSERVATION_OPTIONS}):
         yield f"{', '.join(others)} must keep the default"
-    if result.numbers.success.episodes < EPISODES:
-        yield f"{counted(result.numbers.success.episodes, 'episode')}, not {EPISODES}"
+    if numbers.success.episodes != EPISODES or numbers.within_best_tries is None:
+        yield f"{counted(numbers.success.episodes, 'episode')}, not {EPISODES}, or without their tries"
+    if cell.trials is not None:
+        yield "part of a curve over trials"
     if result.changed or result.commit is None:
         yield "made from a commit with changes, or from none"
     if result.fingerprint not in present:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
-from lerobot_adamanip.benchmark.plan import options_key
-from lerobot_adamanip.benchmark.result import CellResult, StepCost
+from lerobot_adamanip.benchmark.plan import EVALUATE, options_key
+from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
-from lerobot_adamanip.evaluation.paired import FAILED, MOST_TRIES, PairedDifference, paired_difference
+from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
 from lerobot_adamanip.evaluation.rates import Difference, Rate, difference
 
 FEW_KEY_FRAMES = 15
@@ -142,7 +143,7 @@ class BenchmarkReport:
         first, second = (pool(each).success for each in both)
         return difference(first, second)
 
-    def paired(self, method: str, categories: Sequence[str], objects: str, least: str) -> PairedDifference | None:
+    def paired(self, method: str, categories: Sequence[str], objects: str, min_outcome: str) -> PairedDifference | None:
         """Returns the reference's share of scenes with at least an outcome minus a method's, in the same scenes.
 
         Uses the trainings that both have in all categories; None if there are none, or if their scenes differ.
@@ -151,33 +152,34 @@ class BenchmarkReport:
             method: name of the method.
             categories: categories to pool.
             objects: split of objects.
-            least: see `paired_difference`.
+            min_outcome: see `paired_difference`.
         """
         table = [each for each in self.results if each.cell.objects == objects and each.cell.trials is None]
         found = {(each.cell.method, each.cell.category, each.cell.seed): each for each in table if each.outcomes}
         pairs = {}
         for seed in sorted({seed for _, _, seed in found}):
             both = [[found.get((name, each, seed)) for name in (self.reference, method)] for each in categories]
-            if all(one and other and _same_scenes(one, other) for one, other in both):
+            if all(one and other and _scenes_of(one) == _scenes_of(other) for one, other in both):
                 pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
-        lengths = {tuple(len(first) for first, _ in each) for each in pairs.values()}
-        return paired_difference(pairs, least) if len(lengths) == 1 else None
+        lengths = {len(first) for each in pairs.values() for first, _ in each}
+        return paired_difference(pairs, min_outcome) if len(lengths) == 1 else None
 
     def opened_with(self, method: str, objects: str) -> list[float]:
-        """Returns the share of scenes opened with at most 0, 1, ... `MOST_TRIES` - 1 failed tries.
+        """Returns the share of scenes opened with at most 0, 1, ... `MAX_COUNTED_TRIES` - 1 failed tries.
 
-        The mean over the categories with results, equally weighted; empty for results of earlier versions.
+        The mean over the categories, equally weighted; empty if one is missing, or for results of earlier versions.
         """
         found: dict[str, list[int]] = {}
         for each in self.results:
             if (each.cell.method, each.cell.objects, each.cell.trials) == (method, objects, None):
-                tries = [
-                    int(b) if a != FAILED else MOST_TRIES
-                    for a, b in zip(each.outcomes, each.failed_tries, strict=False)
-                ]
+                scenes = zip(each.outcomes, each.failed_tries, strict=False)
+                tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
                 found.setdefault(each.cell.category, []).extend(tries)
+        if not all(found.get(category) for category in self.categories):
+            return []
+        numbers = range(MAX_COUNTED_TRIES)
         shares = [
-            [sum(n <= k for n in tries) / len(tries) for k in range(MOST_TRIES)] for tries in found.values() if tries
+            [sum(each <= number for each in tries) / len(tries) for number in numbers] for tries in found.values()
         ]
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
@@ -263,8 +265,13 @@ def _entries(
     }
 
 
-def _same_scenes(one: CellResult, other: CellResult) -> bool:
-    return (one.scenes, one.scene_seeds, len(one.outcomes)) == (other.scenes, other.scene_seeds, len(other.outcomes))
+def _scenes_of(result: CellResult) -> tuple[object, ...]:
+    """Returns all that decides the scenes of an evaluation."""
+    words = shlex.split(result.steps[EVALUATE].command)
+    options = {
+        word for word in words if word.startswith("--env.") and word.partition("=")[0] not in OBSERVATION_OPTIONS
+    }
+    return result.fingerprint, result.scene_seeds, len(result.outcomes), frozenset(options)
 
 
 def _place(cell: Cell) -> Place:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
-from lerobot_adamanip.benchmark.report import FEW_KEY_FRAMES, BenchmarkReport
+from lerobot_adamanip.benchmark.report import FEW_KEY_FRAMES, BenchmarkReport, Row
 from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.text_format import words
@@ -20,17 +20,17 @@ def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
     """Draws all plots that have data into a folder; returns their paths."""
     paths = [_plot_success(report, folder)] if report.categories_with_results else []
     paths += [_plot_trials(report, folder)] if report.curves else []
-    curves = {row.title: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
+    curves = {row: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
     return paths + ([_plot_tries(report, curves, folder)] if any(curves.values()) else [])
 
 
-def _plot_tries(report: BenchmarkReport, curves: Mapping[str, list[float]], folder: Path) -> Path:
-    """Draws the success of each method, by its title, over the failed tries that an episode may have."""
+def _plot_tries(report: BenchmarkReport, curves: Mapping[Row, list[float]], folder: Path) -> Path:
+    """Draws the success of each method over the failed tries that an episode may have."""
     figure = new_figure(6.5, 4.0)
     axes = figure.subplots()
-    for title, shares in curves.items():
+    for row, shares in curves.items():
         if shares:
-            axes.plot(range(len(shares)), [100 * share for share in shares], marker="o", label=title)
+            axes.plot(range(len(shares)), [100 * share for share in shares], marker="o", label=row.title)
     axes.set(xlabel="failed tries at most", ylabel=f"success [%], {report.splits[0]} objects", ylim=(0, 103))
     axes.legend(frameon=False, fontsize=8)
     path = folder / "tries.png"

@@ -57,9 +57,12 @@ def summary(report: BenchmarkReport) -> str:
         means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", within)]
         means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
         if means[0] is not None:
-            rows.append([_name(row), *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)])
+            seen = [report.entry(row.name, category, "seen") for category in report.categories]
+            trainings = min(len(entry.seeds) for entry in seen if entry is not None)
+            shares = ("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)
+            rows.append([_name(row), *shares, str(trainings)])
     others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
-    titles = ["method", "opened, seen objects", METRICS["within_best_tries"].title, *others]
+    titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
     explanation = f"Means over {len(report.categories)} categories, {number} each, {report.scenes} scenes."
     return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
@@ -168,7 +171,7 @@ def _paired(report: BenchmarkReport) -> str:
     compared = itertools.product(report.rows_with_results, report.splits, ("all", *report.categories))
     for row, objects, where in compared:
         pooled = report.categories if where == "all" else (where,)
-        gaps = [report.paired(row.name, pooled, objects, least) for least in (OPENED, WITHIN_TRIES)]
+        gaps = [report.paired(row.name, pooled, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
         if row.name != report.reference and gaps[0] is not None:
             cells = [text for gap in gaps for text in (_difference(gap), _by_training(gap) if gap is not None else "-")]
             rows.append([_name(row), f"{words(where)}, {objects}", *cells])
@@ -178,8 +181,8 @@ def _paired(report: BenchmarkReport) -> str:
     titles = ["method", "category, objects", "opened", "by training", within, "by training"]
     explanation = (
         f"{_title(report, report.reference)} less each method in the same scenes, in points: mean over scenes and "
-        "trainings, with a 95 % interval over scenes (Student's t). Trainings deviate too: their differences stand "
-        "beside it. Intervals are not corrected for the number of comparisons."
+        "trainings, with a 95 % interval over scenes. The interval excludes the spread between trainings; the next "
+        "column shows each training's difference. Intervals are not corrected for the number of comparisons."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}"
 

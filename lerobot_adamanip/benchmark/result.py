@@ -13,12 +13,17 @@ from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.declaration import NAME, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step, option
 from lerobot_adamanip.evaluation.metrics import Metrics
+from lerobot_adamanip.evaluation.paired import FAILED, WITHIN_TRIES
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, Origin
 from lerobot_adamanip.evaluation.results import check_command
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.files import write_atomically
 from lerobot_adamanip.util.json_fields import integer, listing, mapping, number, read, record, text
 
+OBSERVATION_OPTIONS = (
+    "--env.num_points", "--env.image_size", "--env.observe_images", "--env.episode_log"
+)  # fmt: skip
+"""Options of an evaluation's environment that do not change its scenes."""
 _STEP_NAME = text(rf"({'|'.join(FOLDERS)})(_\d+)?", "the name of a step")
 
 
@@ -126,8 +131,22 @@ def read_cells(folder: Path) -> list[CellResult]:
 def parse_cell(content: object) -> CellResult:
     """Returns the result in decoded JSON; raises ValueError that names the invalid field."""
     found = record(CellResult)("the result", content)
-    if not found.steps:
-        raise ValueError("steps is empty")
+    if EVALUATE not in found.steps:
+        raise ValueError(f"steps lacks {EVALUATE}")
     for step in found.steps.values():
         check_command(step.command)
+        shlex.split(step.command)
+    _check_outcomes(found)
     return found
+
+
+def _check_outcomes(found: CellResult) -> None:
+    """Raises ValueError if the scenes' outcomes contradict the metrics."""
+    numbers, outcomes = found.numbers, found.outcomes
+    lengths = {len(each) for each in (outcomes, found.failed_tries) if each}
+    if lengths - {numbers.success.episodes}:
+        raise ValueError(f"outcomes and failed_tries are not of {numbers.success.episodes} episodes")
+    within = numbers.within_best_tries
+    opened = len(outcomes) - outcomes.count(FAILED)
+    if outcomes and (opened, outcomes.count(WITHIN_TRIES)) != (numbers.success.count, within.count if within else 0):
+        raise ValueError("outcomes are not those of the metrics")

@@ -14,7 +14,8 @@ from lerobot_adamanip.evaluation.tries import within_best_tries
 FAILED, OPENED, WITHIN_TRIES = "0", "1", "2"
 """Outcome of a scene: failed; opened; opened within the failed tries that the best strategy needs at worst."""
 
-MOST_TRIES = 9
+MAX_COUNTED_TRIES = 9
+"""Failed tries of a scene are counted up to this number, which is a digit."""
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class PairedDifference:
 
     Attributes:
         difference: mean over scenes and trainings.
-        low, high: 95 % interval over the scenes (Student's t); the spread between trainings is not in it.
+        low, high: 95 % interval over the scenes; the spread between trainings is not in it.
         by_training: training seed -> difference.
     """
 
@@ -42,28 +43,32 @@ def outcomes(records: Iterable[EpisodeRecord]) -> str:
 
 def failed_tries(records: Iterable[EpisodeRecord]) -> str:
     """Returns the failed tries in an evaluation's scenes in the order of their seeds, one digit each, 9 for more."""
-    return "".join(str(min(each.failed_tries, MOST_TRIES)) for each in _in_order(records))
+    return "".join(str(min(each.failed_tries, MAX_COUNTED_TRIES)) for each in _in_order(records))
 
 
 def _in_order(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     return sorted(records, key=lambda record: record.given_seed)
 
 
-def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], least: str) -> PairedDifference:
+def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcome: str) -> PairedDifference:
     """Returns the share of scenes with at least an outcome, of the first policy minus that of the second.
 
+    Equal seeds of several evaluations (categories) count as one scene, because they draw similar poses and hidden
+    states. The interval is Student's t with one added scene for either policy (Bonett and Price 2012, for proportions),
+    so it does not collapse where the policies agree.
+
     Args:
-        pairs: training seed -> outcomes of both policies in some evaluations; the same evaluations for each seed.
-        least: `OPENED` or `WITHIN_TRIES`.
+        pairs: training seed -> outcomes of both policies in some evaluations, all of the same length.
+        min_outcome: `OPENED` or `WITHIN_TRIES`.
     """
     gaps = {
-        seed: np.array([(a >= least) - (b >= least) for pair in each for a, b in zip(*pair, strict=True)], float)
+        seed: np.mean(
+            [[(a >= min_outcome) - (b >= min_outcome) for a, b in zip(*pair, strict=True)] for pair in each], axis=0
+        )
         for seed, each in pairs.items()
     }
     scenes = np.mean(list(gaps.values()), axis=0)
-    mean, low, high = scenes.mean(), -1.0, 1.0
-    if len(scenes) > 1:
-        interval = stats.ttest_1samp(scenes, 0.0).confidence_interval()
-        low, high = (interval.low, interval.high) if scenes.std() else (mean, mean)
+    interval = stats.ttest_1samp([*scenes, 1.0, -1.0], 0.0).confidence_interval()
     by_training = {seed: float(gap.mean()) for seed, gap in gaps.items()}
-    return PairedDifference(float(mean), max(-1.0, float(low)), min(1.0, float(high)), by_training)
+    low, high = max(-1.0, float(interval.low)), min(1.0, float(interval.high))
+    return PairedDifference(float(scenes.mean()), low, high, by_training)

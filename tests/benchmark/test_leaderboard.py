@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from typing import Any
 
 import pytest
@@ -30,21 +31,18 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> CellResult:
     return result
 
 
-def entry(made: CellResult, share: float = 1.0, **changes: Any) -> list[CellResult]:
+def entry(made: CellResult, share: float = 1.0, options: str = "", **changes: Any) -> list[CellResult]:
     """An entry that opens a share of all scenes, half of them within the best strategy's tries."""
     success, within = rate(round(100 * share), 100), rate(round(50 * share), 100)
     numbers = dataclasses.replace(made.numbers, success=success, within_best_tries=within)
-    whole = dataclasses.replace(made, numbers=numbers, **changes)
-    return [
-        dataclasses.replace(whole, cell=Cell(method="ours", category=category, objects=objects, seed=1000, trials=None))
-        for category in CATEGORIES
-        for objects in OBJECT_SPLITS
-    ]
-
-
-def asked(made: CellResult, *options: str) -> dict[str, Any]:
-    step = made.steps["evaluate"]
-    return {"steps": {**made.steps, "evaluate": StepDone(key=step.key, command=" ".join([step.command, *options]))}}
+    whole, step = dataclasses.replace(made, numbers=numbers, **changes), made.steps["evaluate"]
+    results = []
+    for category, objects in itertools.product(CATEGORIES, OBJECT_SPLITS):
+        command = f"{step.command} --env.type=adamanip_{category} --env.objects={objects} {options}"
+        steps = {**made.steps, "evaluate": StepDone(key=step.key, command=command)}
+        cell = Cell(method="ours", category=category, objects=objects, seed=1000, trials=None)
+        results.append(dataclasses.replace(whole, cell=cell, steps=steps))
+    return results
 
 
 def test_an_entry_by_the_rule_breaks_nothing(made: CellResult) -> None:
@@ -61,10 +59,12 @@ def test_an_entry_by_the_rule_breaks_nothing(made: CellResult) -> None:
         ("--seed=1", "--seed=1, not 700000"),
         ("--env.mechanism_rules=upstream", "not paper"),
         ("--env.episode_length=99", "--env.episode_length must keep the default"),
+        ("--env.objects=0:1", "--env.objects=0:1, not "),
+        ("--config_path=mine.json", "--config_path must keep"),
     ],
 )
 def test_what_breaks_the_rule_is_said(made: CellResult, changes: Any, said: str) -> None:
-    given = asked(made, changes) if isinstance(changes, str) else changes
+    given = {"options": changes} if isinstance(changes, str) else changes
     found = list(violations(entry(made, **given), PRESENT))
     assert len(found) == len(CATEGORIES) * len(OBJECT_SPLITS)
     assert all(said in each for each in found)
@@ -73,11 +73,16 @@ def test_what_breaks_the_rule_is_said(made: CellResult, changes: Any, said: str)
 def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellResult) -> None:
     whole = entry(made)
     (found,) = violations(whole[1:], PRESENT)
-    assert found == f"no result of {whole[0].cell.category} {whole[0].cell.objects}"
+    assert found == f"no result of {whole[0].cell.category} {whole[0].cell.objects} 1000"
+    again = [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=1001)) for each in whole[:2]]
+    (found,) = violations([*whole, *again], PRESENT)
+    assert found.count(" 1001") == len(whole) - 2, "each training has all categories"
     other = dataclasses.replace(whole[0], cell=dataclasses.replace(whole[0].cell, method="other"))
     assert "several methods: other, ours" in list(violations([*whole, other], PRESENT))
     few = [dataclasses.replace(each, numbers=made.numbers) for each in whole]
-    assert all(f"not {leaderboard.EPISODES}" in each for each in violations(few, PRESENT))
+    found = list(violations(few, PRESENT))
+    assert len(found) == len(few)
+    assert all(f"not {leaderboard.EPISODES}" in each for each in found)
 
 
 def test_the_best_stands_first(made: CellResult) -> None:

@@ -166,7 +166,8 @@ def test_an_open_hand_does_not_go_back_before_it_has_closed(steps: list[Step], m
 
 def test_a_hand_that_has_tried_may_go_back() -> None:
     """It closed, pulled in vain and let go: the way back to the place of before is no wavering."""
-    commands, poses, valid = approached((FORWARD, 1.0))
+    commands, poses, valid = approached((ASIDE, 1.0), (FORWARD, 1.0))
+    assert back((commands, poses, valid), to_open(-FORWARD)) == [True]
     tried = played((PULL, 0.0), (RELEASE, 1.0))
     shift = poses[:, -1:, :3] - tried[1][:, :1, :3]
     for part in tried[:2]:

@@ -86,7 +86,7 @@ def repeats_failure(
 
 
 def goes_back(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
-    """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool; demonstrations have none.
+    """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool.
 
     An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
     closed one lets go what it holds, without a contact event. Arguments are as in `repeats_failure`.

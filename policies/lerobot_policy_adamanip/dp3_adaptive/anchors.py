@@ -4,7 +4,8 @@ Motions in contact are millimetres long, approaches decimetres. Motions are clus
 Transformers), and the network classifies the next cluster, which keeps the two directions of a knob apart. The
 residual's unit is the spread of its cluster, so its error is small relative to the motion. It is no diffusion.
 
-The memory moves the choice alone, and only after a contact event: before, the policy equals the one without a history.
+The memory moves the choice alone, and only after a contact event. Before, the network's logits are those without a
+history; the rules of `avoid_repeats` act earlier.
 """
 
 from __future__ import annotations
