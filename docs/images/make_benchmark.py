@@ -1,29 +1,37 @@
-"""Draws benchmark_success.png and benchmark_trials.png, of results/benchmark/cpu alone."""
+"""Draws benchmark_success.png, benchmark_trials.png and benchmark_tries.png, of results/benchmark alone."""
 
 from __future__ import annotations
 
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 from PIL import Image
 
-from lerobot_adamanip.benchmark.declaration import read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
-SCALE, SHOWN, WIDTH = "cpu", ("success", "trials"), 1500
+SHOWN: Mapping[str, tuple[str, str]] = {
+    "success": ("paper_table.toml", "cpu"),
+    "trials": ("paper_table.toml", "cpu"),
+    "tries": ("default_policy.toml", "test"),
+}
+"""Picture -> declaration and scale."""
+WIDTH = 1500
 
 
 def main(here: Path) -> None:
     """Writes the pictures into a folder."""
-    results = read_cells(here.parents[1] / "results" / "benchmark" / SCALE)
-    report = make_report(results, read_declaration(), SCALE, present_fingerprints())
-    with tempfile.TemporaryDirectory() as folder:
-        pictures = {path.stem: path for path in plot_report(report, Path(folder))}
-        for name in SHOWN:
+    for name, (declared, scale) in SHOWN.items():
+        results = read_cells(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
+        declaration = read_declaration(PAPER_TABLE.with_name(declared))
+        report = make_report(results, declaration, scale, present_fingerprints())
+        with tempfile.TemporaryDirectory() as folder:
+            pictures = {path.stem: path for path in plot_report(report, Path(folder))}
             picture = Image.open(pictures[name]).convert("RGB")
             picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
             picture.quantize(128).save(here / f"benchmark_{name}.png", optimize=True)
