@@ -46,9 +46,10 @@ def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[Benchm
 def entries(folder: Path, present: Collection[str]) -> dict[str, list[CellResult]]:
     """Returns name -> result files of the leaderboard's entries; those that break its rule are left out."""
     found = {path.name: read_cells(path) for path in sorted((folder / "leaderboard").glob("*/"))}
+    methods = read_declaration(PAPER_TABLE.with_name("default_policy.toml")).methods
     ours: dict[tuple[str, int], list[CellResult]] = {}
     for result in read_cells(folder / "benchmark" / "test"):
-        ours.setdefault((f"{result.title} (this project)", result.cell.seed), []).append(result)
+        ours.setdefault((f"{methods[result.cell.method].title} (this project)", result.cell.seed), []).append(result)
     kept = {name: results for name, results in found.items() if not any(violations(results, present))}
     for (name, _), results in ours.items():  # trainings with all categories and splits of objects
         if not any(violations(results, present)):
