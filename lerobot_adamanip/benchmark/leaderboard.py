@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import itertools
-import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.plan import EVALUATE
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
@@ -60,8 +58,8 @@ def violations(results: Sequence[CellResult], present: Collection[str]) -> Itera
 
 def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
     cell, numbers = result.cell, result.numbers
-    words = [word.partition("=")[::2] for word in shlex.split(result.steps[EVALUATE].command)]
-    given = {name: value for name, value in words if name.startswith("--env") or name in ("--seed", "--config_path")}
+    options = result.evaluation_options.items()
+    given = {name: value for name, value in options if name.startswith("--env") or name in ("--seed", "--config_path")}
     expected = {**FIXED, "--env.type": f"adamanip_{cell.category}", "--env.objects": cell.objects}
     for name, value in expected.items():
         if given.get(name) != value:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import itertools
-import shlex
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
-from lerobot_adamanip.benchmark.plan import EVALUATE, options_key
+from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
@@ -267,10 +266,8 @@ def _entries(
 
 def _scenes_of(result: CellResult) -> tuple[object, ...]:
     """Returns all that decides the scenes of an evaluation."""
-    words = shlex.split(result.steps[EVALUATE].command)
-    options = {
-        word for word in words if word.startswith("--env.") and word.partition("=")[0] not in OBSERVATION_OPTIONS
-    }
+    given = result.evaluation_options.items()
+    options = {each for each in given if each[0].startswith("--env.") and each[0] not in OBSERVATION_OPTIONS}
     return result.fingerprint, result.scene_seeds, len(result.outcomes), frozenset(options)
 
 

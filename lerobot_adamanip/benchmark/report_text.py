@@ -168,12 +168,12 @@ def _difference(gap: Difference | PairedDifference | None) -> str:
 def _paired(report: BenchmarkReport) -> str:
     """Returns a table of the paired differences to the reference; empty without outcomes of scenes."""
     rows = []
-    compared = itertools.product(report.rows_with_results, report.splits, ("all", *report.categories))
-    for row, objects, where in compared:
+    others = [row for row in report.rows_with_results if row.name != report.reference]
+    for row, objects, where in itertools.product(others, report.splits, ("all", *report.categories)):
         pooled = report.categories if where == "all" else (where,)
         gaps = [report.paired(row.name, pooled, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
-        if row.name != report.reference and gaps[0] is not None:
-            cells = [text for gap in gaps for text in (_difference(gap), _by_training(gap) if gap is not None else "-")]
+        cells = [text for gap in gaps if gap is not None for text in (_difference(gap), _by_training(gap))]
+        if cells:
             rows.append([_name(row), f"{words(where)}, {objects}", *cells])
     if not rows:
         return ""

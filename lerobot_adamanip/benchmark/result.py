@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import shlex
 from collections.abc import Mapping
@@ -11,7 +12,7 @@ from typing import Annotated, Any
 
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.declaration import NAME, TITLE
-from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step, option
+from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.paired import FAILED, WITHIN_TRIES
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, Origin
@@ -93,10 +94,16 @@ class CellResult(Origin):
         """Cache key of everything that affects the result."""
         return tuple(self.steps.values())[-1].key
 
+    @functools.cached_property
+    def evaluation_options(self) -> Mapping[str, str]:
+        """Options of the evaluation, name -> value, read from its command."""
+        words = shlex.split(self.steps[EVALUATE].command)
+        return {name: value for name, _, value in (word.partition("=") for word in words)}
+
     @property
     def scenes(self) -> str:
-        """Split of the evaluation's scenes, read from its command."""
-        return option(shlex.split(self.steps[EVALUATE].command), "--env.split")
+        """Split of the evaluation's scenes."""
+        return self.evaluation_options["--env.split"]
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-serialisable dictionary."""

@@ -124,8 +124,8 @@ def test_differences_are_those_of_the_rates(cells: Path) -> None:
     gap = difference(*(pool(each).success for each in both))
     assert report.to_reference("ours_on_static", ("bottle", "safe"), "unseen") == gap
     rows = rows_of(benchmark_page(report), "Ours less the others, in points")
-    (told,) = (cells[-1] for (name, _), cells in rows.items() if name == "Ours on static")
-    assert told == f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+    (shown,) = (cells[-1] for (name, _), cells in rows.items() if name == "Ours on static")
+    assert shown == f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
 
 
 def test_the_same_scenes_are_compared(cells: Path) -> None:
