@@ -65,6 +65,8 @@ def test_json_holds_every_option() -> None:
         ({"poses": "paper"}, "fixed, randomized"),
         ({"mechanism_rules": "mine"}, "mine"),
         ({"max_key_frames": 0}, "key frames"),
+        ({"max_failed_tries": -1}, "or best"),
+        ({"max_failed_tries": "few"}, "'few'"),
         ({"split": "dev"}, "validation"),
         ({"seed_offset": -1}, "seed offset"),
         ({"render_backend": "gpu"}, "auto, cpu, cuda"),

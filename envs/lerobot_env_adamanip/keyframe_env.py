@@ -43,8 +43,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
         (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden state.
-    Reward: 1 at the key frame that succeeds. The episode ends there, or after ``max_key_frames``. Later steps return
-        observations without reward and do not change the episode's record.
+    Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
+        more than ``max_failed_tries``. Later steps return observations without reward and do not change its record.
 
     Implements `lerobot_adamanip.episode.rollout.SimulatedEnvironment`.
 
@@ -103,7 +103,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
-            sim, sim.placement.annotations, seed=drawn, given_seed=given, provenance=self._provenance
+            sim,
+            sim.placement.annotations,
+            seed=drawn,
+            given_seed=given,
+            provenance=self._provenance,
+            max_failed_tries=self.options.max_failed_tries,
         )
         return self.observe(), {"is_success": False}
 
@@ -115,12 +120,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self.observe(), reward, success, truncated, {"is_success": success}
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Runs `step` without an observation; returns whether the task is done, and whether key frames are used up."""
+        """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
         self._image = None
         success = monitor.after_key_frame()
-        truncated = not success and monitor.key_frames >= self._max_episode_steps
+        truncated = not success and (monitor.key_frames >= self._max_episode_steps or monitor.tries_used_up)
         if (success or truncated) and self._record is None:
             self._record = monitor.record()
             if self._episode_log is not None:

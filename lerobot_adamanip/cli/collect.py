@@ -79,6 +79,10 @@ class Collect:
     mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
     """Rules of mechanisms. paper: as in the paper's text. upstream: as in its released code. hard: harder ones."""
 
+    max_failed_tries: str | None = None
+    """End an attempt with the failed try that is one more than this: a number, or best (what the best strategy without
+    sight of the hidden state needs at worst). By default there is no limit."""
+
     expert_strategy: Literal["paper", "upstream", "to_stop"] = "paper"
     """When the adaptive expert tries to open. paper: at random, even before a turn. upstream: beyond the fixed angles
     of upstream's code. to_stop: at a felt stop, with the fewest failed tries."""
@@ -209,6 +213,7 @@ class Collect:
             cloud_source=self.cloud_source,
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
+            max_failed_tries=self.max_failed_tries,
         )
         objects = objects_to_collect(categories, self.objects, self.assets, self.poses)
         check_late_starts(self.late_starts)

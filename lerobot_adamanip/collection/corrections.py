@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.observation import Observation
-from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, RolloutResult
+from lerobot_adamanip.episode.rollout import TOO_MANY_TRIES, KeyFrame, KeyframeEnvironment, RolloutResult
 from lerobot_adamanip.experts import Belief
 
 Action = NDArray[np.float32]
@@ -102,5 +102,6 @@ def corrected_rollout(
         belief = belief.after(env.labels, env.joint_names, before, env.part_positions(), stalled=env.feedback.failed)
         observation = following
         if truncated:
+            reason = reason if key_frames >= env.max_key_frames else TOO_MANY_TRIES
             break
     return RolloutResult(success, key_frames, "success" if success else reason)

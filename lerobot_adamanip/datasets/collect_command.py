@@ -39,6 +39,8 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
 
 
 def _flag(name: str, value: object) -> str:
+    if value is None:
+        return ""
     option = _OPTIONS.get(name, name).replace("_", "-")
     if isinstance(value, bool) and not value:
         return "--no-images" if name == "observe_images" else ""  # other flags are off by default

@@ -169,7 +169,7 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
 
 MANIFEST_FIELDS = (
     "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_rules", "max_key_frames",
-    "hidden_overrides", "workspace",
+    "max_failed_tries", "hidden_overrides", "workspace",
 )  # fmt: skip
 """Environment options in a manifest."""
 RUNTIME_FIELDS = (

@@ -26,9 +26,11 @@ from lerobot_adamanip.datasets.collection_spec import (
     environment_json,
 )
 from lerobot_adamanip.episode.options import (
+    BEST,
     CLOUD_SOURCES,
     IMAGE_SIZES,
     KEY_FRAMES,
+    MAX_FAILED_TRIES,
     POSES,
     EnvironmentOptions,
     from_stored,
@@ -216,6 +218,17 @@ def _object_id(name: str, value: object) -> str:
     return object_id
 
 
+def _tries(name: str, value: object) -> object:
+    return BEST if value == BEST else integer(0, MAX_FAILED_TRIES)(name, value)
+
+
+def _environment(name: str, value: object) -> dict[str, Any]:
+    """Checks the options of an environment; collections of 0.2 have no ``max_failed_tries``."""
+    known = {"max_failed_tries": None, **value} if isinstance(value, Mapping) else value
+    checked: dict[str, Any] = table(_ENVIRONMENT)(name, known)
+    return checked
+
+
 _HASHES = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a hash or a name"), 64)
 _CORNER = listing(number(-10.0, 10.0), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
@@ -226,12 +239,13 @@ _ENVIRONMENT: Mapping[str, Check] = {
     "poses": choice(POSES),
     "mechanism_preset": choice(MECHANISM_RULES),
     "max_key_frames": integer(*KEY_FRAMES),
+    "max_failed_tries": optional(_tries),
     "hidden_overrides": HIDDEN_STATE,
     "workspace": table({"lower": _CORNER, "upper": _CORNER}),
 }
 _COLLECTION: Mapping[str, Check] = {
     "objects": listing(_object_id, 1, MAX_OBJECTS),
-    "environment": table(_ENVIRONMENT),
+    "environment": _environment,
     "expert": choice(EXPERT_KINDS),
     "expert_preset": choice(EXPERT_STRATEGIES),
     "late_starts": number(0.0, 1.0),

@@ -21,6 +21,10 @@ CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
 IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Smallest and largest allowed value."""
+BEST = "best"
+"""Value of ``max_failed_tries``: the failed tries that the best blind strategy needs at worst, see the metrics."""
+MAX_FAILED_TRIES = 1000
+"""Largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
 """Share of collected episodes that start from a perturbed mid-task state."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
@@ -46,6 +50,7 @@ class EnvironmentOptions:
         poses: see `POSES`.
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
+        max_failed_tries: an episode ends with the failed try that is one more: a number, `BEST`, or None for no limit.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
@@ -70,6 +75,7 @@ class EnvironmentOptions:
     poses: str = "randomized"
     mechanism_rules: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
+    max_failed_tries: int | str | None = None
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
     split: str = "validation"
     seed_offset: int = 0
@@ -101,6 +107,7 @@ class EnvironmentOptions:
         check_num_points(self.num_points)
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
+        object.__setattr__(self, "max_failed_tries", _tries(self.max_failed_tries))
         _check_range("seed offset", self.seed_offset, (0, 2**31), "seed_offset=0")
         _check_workspace(self.workspace)
         if self.logged_seeds is not None and not 0 <= self.logged_seeds[0] < self.logged_seeds[1]:
@@ -179,6 +186,18 @@ def _check_workspace(box: Workspace) -> None:
             allowed="a lower corner below the upper one along x, y and z [m]",
             hint=f"--env.workspace_lower={list(DEFAULT_WORKSPACE.lower)}",
         )
+
+
+def _tries(value: int | str | None) -> int | str | None:
+    """Returns a number of failed tries as a number; raises `ConfigurationError`."""
+    if value in (None, BEST):
+        return value
+    if not str(value).isdecimal() or int(value) > MAX_FAILED_TRIES:
+        allowed = f"0 ... {MAX_FAILED_TRIES}, or {BEST}: as many as the best strategy needs at worst"
+        raise ConfigurationError(
+            "Wrong number of failed tries.", got=repr(value), allowed=allowed, hint=f"--env.max_failed_tries={BEST}"
+        )
+    return int(value)
 
 
 def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str) -> None:

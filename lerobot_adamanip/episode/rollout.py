@@ -13,6 +13,8 @@ from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, 
 from lerobot_adamanip.contract.observation import Observation
 from lerobot_adamanip.objects import PartAnnotation
 
+TOO_MANY_TRIES = "more failed tries than allowed"
+
 
 class KeyframeEnvironment(Protocol):
     """Environment with one key frame per step: `lerobot_env_adamanip.keyframe_env.KeyframeEnv`, a robot, or a fake."""
@@ -148,7 +150,7 @@ def rollout(
             observation = following
             goal = next_goal(expert, env.feedback)
         if goal is not None:
-            reason = "time limit"
+            reason = "time limit" if key_frames >= env.max_key_frames else TOO_MANY_TRIES
     finally:
         expert.close()
     return RolloutResult(success, key_frames, "success" if success else reason)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from lerobot_adamanip.evaluation.rates import Rate, rate
@@ -77,7 +77,8 @@ def made_tries(record: EpisodeRecord) -> int:
 
 def best_tries(record: EpisodeRecord) -> float:
     """Returns the expected failed tries of an optimal blind strategy in an episode, see `BEST_TRIES`."""
-    return 0.0 if record.locked is False else sum(expected for expected, _ in _best_tries(record))
+    tries = _best_tries(record.category, record.provenance.mechanism_rules, record.hidden_state)
+    return 0.0 if record.locked is False else sum(expected for expected, _ in tries)
 
 
 def within_best_tries(record: EpisodeRecord) -> bool:
@@ -85,12 +86,24 @@ def within_best_tries(record: EpisodeRecord) -> bool:
 
     They depend on the category, not on what is hidden in this episode: a policy does not know that either.
     """
-    return record.success and record.failed_tries <= sum(worst for _, worst in _best_tries(record))
+    hidden, rules = record.hidden_state, record.provenance.mechanism_rules
+    return record.success and record.failed_tries <= best_tries_at_worst(record.category, rules, hidden)
 
 
-def _best_tries(record: EpisodeRecord) -> list[tuple[float, int]]:
-    known = {"direction"} if fixed_direction(record.category, record.provenance.mechanism_rules) else set()
-    return [tries for name, tries in BEST_TRIES.items() if name in record.hidden_state and name not in known]
+def best_tries_at_worst(category: str, mechanism_rules: str, hidden: Collection[str]) -> int:
+    """Returns the failed tries that an optimal blind strategy needs at worst, see `BEST_TRIES`.
+
+    Args:
+        category: of the object.
+        mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
+        hidden: names of the hidden values.
+    """
+    return sum(worst for _, worst in _best_tries(category, mechanism_rules, hidden))
+
+
+def _best_tries(category: str, mechanism_rules: str, hidden: Collection[str]) -> list[tuple[float, int]]:
+    known = {"direction"} if fixed_direction(category, mechanism_rules) else set()
+    return [tries for name, tries in BEST_TRIES.items() if name in hidden and name not in known]
 
 
 def tried_locked_first(record: EpisodeRecord) -> bool:

@@ -1,0 +1,87 @@
+"""``max_failed_tries``: an episode ends with the failed try that is one too many, and nothing else changes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from envs_helpers import SMALL
+
+from lerobot_adamanip.episode.options import BEST
+from lerobot_adamanip.episode.rollout import TOO_MANY_TRIES, rollout
+from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.tries import within_best_tries
+from lerobot_adamanip.experts import KeyFrames, make_expert
+from lerobot_adamanip.experts.lamp import MOTIONS, _attempt
+from lerobot_adamanip.experts.primitives import Hand
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+pytestmark = pytest.mark.sim
+MODES = range(len(MOTIONS))
+
+
+@pytest.fixture(scope="module")
+def lamp() -> Iterator[Callable[[int | str | None], KeyframeEnv]]:
+    """Makes environments of one lamp that share a simulator."""
+    made = KeyframeEnv("lamp", **{**SMALL, "objects": "0:1", "observe_images": False})
+
+    def limited(most: int | str | None) -> KeyframeEnv:
+        made.options = made.options.changed(max_failed_tries=most)
+        return made
+
+    yield limited
+    made.close()
+
+
+def trying(env: KeyframeEnv, modes: list[int]) -> KeyFrames:
+    """Holds the knob and tries these motions, whatever comes of it."""
+    hand, knob = Hand(np.random.default_rng(0), settles={"button": 0.0}), env.annotations["knob"]
+    yield from hand.grasp(knob)
+    for mode in modes:
+        if (yield from _attempt(hand, knob, mode)):
+            return
+
+
+def outcome(env: KeyframeEnv, hidden: int, modes: list[int]) -> tuple[bool, Any]:
+    observation, _ = env.reset(seed=3, options={"hidden_overrides": {"mode": hidden}})
+    result = rollout(env, observation, trying(env, modes))
+    record = EpisodeRecord.from_json(env.episode_record())
+    assert record.success == result.success
+    assert result.success or result.reason == TOO_MANY_TRIES
+    return record.success, record
+
+
+def test_a_policy_that_repeats_and_the_best_one_have_what_they_must(lamp: Any) -> None:
+    """With three modes, repeating opens one of three; trying each once opens all, with two failures at most."""
+    env = lamp(BEST)
+    for hidden in MODES:
+        success, record = outcome(env, hidden, [0] * 9)
+        assert success == (hidden == 0)
+        assert record.failed_tries == (0 if success else 3), "it ends with the one that is too many"
+        success, record = outcome(env, hidden, list(MODES))
+        assert success
+        assert record.failed_tries == hidden
+
+
+@pytest.mark.parametrize("most", [0, 1, 2, 5])
+def test_it_is_what_counting_says_of_the_whole_episode(lamp: Any, most: int) -> None:
+    for hidden, modes in ((0, [1, 2, 0]), (2, [1, 1, 0, 2]), (1, [0, 0, 0, 0, 0, 0, 1])):
+        success, whole = outcome(lamp(None), hidden, modes)
+        assert success
+        limited, record = outcome(lamp(most), hidden, modes)
+        assert limited == (whole.failed_tries <= most)
+        assert record.try_sequence == whole.try_sequence[: len(record.try_sequence)]
+        assert outcome(lamp(BEST), hidden, modes)[0] == within_best_tries(whole)
+
+
+@pytest.mark.parametrize("category", ["safe", "microwave"])
+def test_the_expert_that_feels_stops_stays_within_the_best(category: str) -> None:
+    env = KeyframeEnv(category, **{**SMALL, "objects": "0:2", "observe_images": False, "max_failed_tries": BEST})
+    for seed in range(6):
+        observation, _ = env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        expert = make_expert(category, "adaptive", env.annotations, generator=rng, strategy="to_stop")
+        assert rollout(env, observation, expert).success
+    env.close()
