@@ -68,8 +68,8 @@ class AdaManipEnvConfig(EnvConfig):
     mechanism_rules: str = "paper"
     # Maximum key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
-    # Failed tries after which one more ends the episode: a number, best (what the best strategy without sight of the
-    # hidden state needs at worst), or unset for no limit.
+    # Maximum failed tries per episode; the next failed try ends it. A number, or best (worst case of the best strategy
+    # without the hidden state); unset for no limit.
     max_failed_tries: str | None = None
     # Split of scenes, without overlap: train, validation (for selection), or test (for reported numbers).
     split: str = "validation"

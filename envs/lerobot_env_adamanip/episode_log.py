@@ -13,10 +13,10 @@ from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.episode.contact_labels import TryLabeler
-from lerobot_adamanip.episode.options import BEST
+from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.evaluation.tries import best_tries_at_worst
+from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -27,7 +27,7 @@ class EpisodeMonitor:
     """Labels and counts the key frames of one episode, right after a reset of ``task``.
 
     ``success`` stays True once a joint is beyond its goal at the end of a key frame. ``given_seed`` is the
-    evaluation's seed, ``seed`` the scene's. ``max_failed_tries`` is an option of the environment.
+    evaluation's seed, ``seed`` the scene's.
     """
 
     def __init__(
@@ -38,13 +38,13 @@ class EpisodeMonitor:
         seed: int,
         given_seed: int,
         provenance: Provenance,
-        max_failed_tries: int | str | None,
+        options: EnvironmentOptions,
     ) -> None:
         self._task, self.seed, self._given_seed, self._provenance = task, seed, given_seed, provenance
         self._hidden = task.hidden_state()
-        if max_failed_tries == BEST:
-            max_failed_tries = best_tries_at_worst(task.obj.category, provenance.mechanism_rules, self._hidden)
-        self._allowed = max_failed_tries
+        self._max_key_frames, most = options.max_key_frames, options.max_failed_tries
+        _, worst = best_tries(task.obj.category, options.mechanism_rules, self._hidden)
+        self._max_failed_tries = None if most is None else worst if most == BEST else int(most)
         self.key_frames = 0
         self.success = False
         self._labeler = TryLabeler(task.obj, task.mechanism.joints, annotations, task.feedback, task.joint_positions())
@@ -55,17 +55,19 @@ class EpisodeMonitor:
         return self._labeler.labels
 
     @property
-    def tries_used_up(self) -> bool:
-        """Whether more tries have failed than allowed."""
+    def limit(self) -> str | None:
+        """The limit that has ended the episode: `TIME_LIMIT` or `TOO_MANY_TRIES`; None if there is none yet."""
         failed = self.labels.trial + self.labels.failed
-        return isinstance(self._allowed, int) and failed > self._allowed
+        if self._max_failed_tries is not None and failed > self._max_failed_tries:
+            return TOO_MANY_TRIES
+        return TIME_LIMIT if self.key_frames >= self._max_key_frames else None
 
     def after_key_frame(self) -> bool:
         """Counts and labels a finished key frame. Returns whether the episode has succeeded."""
         self.key_frames += 1
         goal, gripper = self._task.goal
         self._labeler.after_key_frame(goal, gripper, self._task.feedback, self._task.joint_positions())
-        self.success |= self._task.succeeded()
+        self.success |= self._task.succeeded() and self.limit != TOO_MANY_TRIES
         return self.success
 
     def record(self) -> EpisodeRecord:

@@ -42,7 +42,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden state.
+        (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden
+        state; that of a truncated step also has ``limit``, the reason.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
         more than ``max_failed_tries``. Later steps return observations without reward and do not change its record.
 
@@ -108,7 +109,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             seed=drawn,
             given_seed=given,
             provenance=self._provenance,
-            max_failed_tries=self.options.max_failed_tries,
+            options=self.options,
         )
         return self.observe(), {"is_success": False}
 
@@ -117,15 +118,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         had_succeeded = self._episode().success
         success, truncated = self.drive(action)
         reward = float(success and not had_succeeded)
-        return self.observe(), reward, success, truncated, {"is_success": success}
+        info = {"is_success": success, **({"limit": self._episode().limit} if truncated else {})}
+        return self.observe(), reward, success, truncated, info
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
         sim, monitor = self._running(), self._episode()
         sim.execute(np.asarray(action))
         self._image = None
-        success = monitor.after_key_frame()
-        truncated = not success and (monitor.key_frames >= self._max_episode_steps or monitor.tries_used_up)
+        monitor.after_key_frame()
+        success = monitor.success if self._record is None else self._record.success
+        truncated = not success and (self._record is not None or monitor.limit is not None)
         if (success or truncated) and self._record is None:
             self._record = monitor.record()
             if self._episode_log is not None:

@@ -80,8 +80,8 @@ class Collect:
     """Rules of mechanisms. paper: as in the paper's text. upstream: as in its released code. hard: harder ones."""
 
     max_failed_tries: str | None = None
-    """End an attempt with the failed try that is one more than this: a number, or best (what the best strategy without
-    sight of the hidden state needs at worst). By default there is no limit."""
+    """Maximum failed tries per attempt; the next failed try ends it. A number, or best (worst case of the best strategy
+    without the hidden state). Default: no limit."""
 
     expert_strategy: Literal["paper", "upstream", "to_stop"] = "paper"
     """When the adaptive expert tries to open. paper: at random, even before a turn. upstream: beyond the fixed angles

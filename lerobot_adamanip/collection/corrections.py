@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.observation import Observation
-from lerobot_adamanip.episode.rollout import TOO_MANY_TRIES, KeyFrame, KeyframeEnvironment, RolloutResult
+from lerobot_adamanip.episode.options import TIME_LIMIT
+from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, RolloutResult
 from lerobot_adamanip.experts import Belief
 
 Action = NDArray[np.float32]
@@ -81,7 +82,7 @@ def corrected_rollout(
     """
     actor, rng = correcting.actor, np.random.default_rng([correcting.seed, STREAM])
     actor.reset(correcting.seed)
-    belief, success, key_frames, beyond, reason = Belief(), False, 0, 0, "time limit"
+    belief, success, key_frames, beyond, reason = Belief(), False, 0, 0, TIME_LIMIT
     while key_frames < env.max_key_frames and beyond < BEYOND:
         frames = correcting.take_over(belief=belief, generator=rng)
         goal = next(frames, None)
@@ -95,13 +96,12 @@ def corrected_rollout(
             actor.executed(sent)
         before = env.part_positions()
         following, _, _, truncated, info = env.step(sent)
-        key_frames += 1
-        beyond += success
+        key_frames, beyond = key_frames + 1, beyond + success
         success = success or bool(info["is_success"])
         on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels, sent))
         belief = belief.after(env.labels, env.joint_names, before, env.part_positions(), stalled=env.feedback.failed)
         observation = following
         if truncated:
-            reason = reason if key_frames >= env.max_key_frames else TOO_MANY_TRIES
+            reason = info.get("limit", TIME_LIMIT)
             break
     return RolloutResult(success, key_frames, "success" if success else reason)

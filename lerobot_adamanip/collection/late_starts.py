@@ -67,7 +67,7 @@ def start_late(
     reset: Callable[[], Observation],
     make_expert: Callable[[np.random.Generator], KeyFrames],
 ) -> tuple[Observation, Actions]:
-    """Brings an environment to a late start before success; uses fewer key frames if one would succeed.
+    """Brings an environment to a late start before success; uses fewer key frames if one would end the episode.
 
     Args:
         env: the environment.
@@ -83,8 +83,7 @@ def start_late(
         actions = []
         for goal in _driven(env, make_expert(start.generator), limit, start.move):
             actions.append(goal.action())
-            succeeded, _ = env.drive(actions[-1])
-            if succeeded:
+            if any(env.drive(actions[-1])):
                 break
         else:
             return env.observe(), np.stack(actions)

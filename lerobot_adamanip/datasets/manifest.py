@@ -218,10 +218,6 @@ def _object_id(name: str, value: object) -> str:
     return object_id
 
 
-def _tries(name: str, value: object) -> object:
-    return BEST if value == BEST else integer(0, MAX_FAILED_TRIES)(name, value)
-
-
 def _environment(name: str, value: object) -> dict[str, Any]:
     """Checks the options of an environment; collections of 0.2 have no ``max_failed_tries``."""
     known = {"max_failed_tries": None, **value} if isinstance(value, Mapping) else value
@@ -239,7 +235,7 @@ _ENVIRONMENT: Mapping[str, Check] = {
     "poses": choice(POSES),
     "mechanism_preset": choice(MECHANISM_RULES),
     "max_key_frames": integer(*KEY_FRAMES),
-    "max_failed_tries": optional(_tries),
+    "max_failed_tries": optional(either(choice((BEST,)), integer(0, MAX_FAILED_TRIES))),
     "hidden_overrides": HIDDEN_STATE,
     "workspace": table({"lower": _CORNER, "upper": _CORNER}),
 }

@@ -23,6 +23,8 @@ IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
 """Smallest and largest allowed value."""
 BEST = "best"
 """Value of ``max_failed_tries``: the failed tries that the best blind strategy needs at worst, see the metrics."""
+TIME_LIMIT, TOO_MANY_TRIES = "time limit", "more failed tries than allowed"
+"""Limits that end an episode."""
 MAX_FAILED_TRIES = 1000
 """Largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
@@ -50,7 +52,7 @@ class EnvironmentOptions:
         poses: see `POSES`.
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
-        max_failed_tries: an episode ends with the failed try that is one more: a number, `BEST`, or None for no limit.
+        max_failed_tries: maximum failed tries; the next failed try ends the episode. A number, `BEST`, or None.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames
 from lerobot_adamanip.contract.observation import Observation
+from lerobot_adamanip.episode.options import TIME_LIMIT
 from lerobot_adamanip.objects import PartAnnotation
-
-TOO_MANY_TRIES = "more failed tries than allowed"
 
 
 class KeyframeEnvironment(Protocol):
@@ -72,7 +71,7 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     """Environment with full state and rendering, for recording demonstrations."""
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Steps without an observation. Returns whether the task is done, and whether key frames are used up."""
+        """Steps without an observation. Returns whether the task is done, and whether a limit is reached."""
 
     def observe(self) -> Observation:
         """Returns the current observation."""
@@ -127,7 +126,7 @@ def rollout(
     *,
     past_success: bool = False,
 ) -> RolloutResult:
-    """Runs an expert in a freshly reset environment until the task is done, time is up, or the expert ends.
+    """Runs an expert in a freshly reset environment until the task is done, a limit is reached, or the expert ends.
 
     Args:
         env: reset; ``observation`` is what its reset returned.
@@ -136,7 +135,7 @@ def rollout(
         on_key_frame: called with every key frame.
         past_success: continue after success until the expert ends, as demonstrations do: it pulls a door wide open.
     """
-    success, reason, key_frames = False, "the expert ended without success", 0
+    success, reason, key_frames, info = False, "the expert ended without success", 0, dict[str, Any]()
     try:
         goal = next(expert, None)
         while goal is not None and key_frames < env.max_key_frames:
@@ -150,7 +149,7 @@ def rollout(
             observation = following
             goal = next_goal(expert, env.feedback)
         if goal is not None:
-            reason = "time limit" if key_frames >= env.max_key_frames else TOO_MANY_TRIES
+            reason = info.get("limit", TIME_LIMIT)
     finally:
         expert.close()
     return RolloutResult(success, key_frames, "success" if success else reason)

@@ -18,7 +18,7 @@ from lerobot_adamanip.evaluation.text_format import interval_text
 from lerobot_adamanip.evaluation.tries import (
     CAUSES,
     FAILED_AT,
-    best_tries,
+    best_tries_expected,
     failed_at,
     failure_cause,
     made_tries,
@@ -75,7 +75,7 @@ def _failed_tries(records: Records) -> Mean:
 
 
 def _wasted_tries(records: Records) -> Mean:
-    return _tries_of_successes(records, lambda record: made_tries(record) - best_tries(record))
+    return _tries_of_successes(records, lambda record: made_tries(record) - best_tries_expected(record))
 
 
 def _tried_locked_first(records: Records) -> Rate:

@@ -3,23 +3,13 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 from lerobot_adamanip.evaluation.rates import Rate, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord, TryMade
-from lerobot_adamanip.mechanisms import fixed_direction
+from lerobot_adamanip.mechanisms import best_tries
 
-BEST_TRIES = {
-    "locked": (1.0, 1),
-    "direction": (0.5, 1),
-    "mode": (1.0, 2),
-    "turn_range": (0.0, 1),
-    "knob_range": (0.0, 1),
-}
-"""Hidden value -> failed tries of an optimal blind strategy, expected and at worst. It pulls at a locked door once,
-because that is cheaper than turning the key. It turns the wrong way half of the time, and tries three modes in
-sequence. How far a key turns is felt at its stop, where a turn may be cut short."""
 NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR = "no try", "tried in vain", "key moved", "ajar"
 CAUSES = (NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR)
 """Cause of a failed episode: no try; no joint moved; only the other joint (knob, cap, lever) moved; or the opening
@@ -75,10 +65,9 @@ def made_tries(record: EpisodeRecord) -> int:
     return record.failed_tries + (record.key_moved and record.locked is False)
 
 
-def best_tries(record: EpisodeRecord) -> float:
+def best_tries_expected(record: EpisodeRecord) -> float:
     """Returns the expected failed tries of an optimal blind strategy in an episode, see `BEST_TRIES`."""
-    tries = _best_tries(record.category, record.provenance.mechanism_rules, record.hidden_state)
-    return 0.0 if record.locked is False else sum(expected for expected, _ in tries)
+    return 0.0 if record.locked is False else _best_tries(record)[0]
 
 
 def within_best_tries(record: EpisodeRecord) -> bool:
@@ -86,24 +75,11 @@ def within_best_tries(record: EpisodeRecord) -> bool:
 
     They depend on the category, not on what is hidden in this episode: a policy does not know that either.
     """
-    hidden, rules = record.hidden_state, record.provenance.mechanism_rules
-    return record.success and record.failed_tries <= best_tries_at_worst(record.category, rules, hidden)
+    return record.success and record.failed_tries <= _best_tries(record)[1]
 
 
-def best_tries_at_worst(category: str, mechanism_rules: str, hidden: Collection[str]) -> int:
-    """Returns the failed tries that an optimal blind strategy needs at worst, see `BEST_TRIES`.
-
-    Args:
-        category: of the object.
-        mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
-        hidden: names of the hidden values.
-    """
-    return sum(worst for _, worst in _best_tries(category, mechanism_rules, hidden))
-
-
-def _best_tries(category: str, mechanism_rules: str, hidden: Collection[str]) -> list[tuple[float, int]]:
-    known = {"direction"} if fixed_direction(category, mechanism_rules) else set()
-    return [tries for name, tries in BEST_TRIES.items() if name in hidden and name not in known]
+def _best_tries(record: EpisodeRecord) -> tuple[float, int]:
+    return best_tries(record.category, record.provenance.mechanism_rules, record.hidden_state)
 
 
 def tried_locked_first(record: EpisodeRecord) -> bool:

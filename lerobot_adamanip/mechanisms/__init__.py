@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from lerobot_adamanip.mechanisms.base import Limits, Mechanism, Overrides, Positions
+from lerobot_adamanip.mechanisms.best_tries import best_tries
 from lerobot_adamanip.mechanisms.families import (
     LampMechanism,
     MicrowaveMechanism,
@@ -26,5 +27,5 @@ from lerobot_adamanip.mechanisms.table import (
 __all__ = [
     "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "LampMechanism", "Limits",
     "Mechanism", "MicrowaveMechanism", "Overrides", "Positions", "SafeMechanism", "TurnToOpenMechanism",
-    "fixed_direction", "infeasible", "make_mechanism",
+    "best_tries", "fixed_direction", "infeasible", "make_mechanism",
 ]  # fmt: skip

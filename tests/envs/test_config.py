@@ -64,6 +64,11 @@ def test_command_line_reaches_the_environment() -> None:
     assert env.workspace.lower == (0.2, -0.5, 0.4)
 
 
+@pytest.mark.parametrize(("typed", "value"), [("2", 2), ("best", "best"), (None, None)])
+def test_the_limit_of_failed_tries_is_a_number_or_best(typed: str | None, value: int | str | None) -> None:
+    assert AdaManipSafeEnvConfig(max_failed_tries=typed).options.max_failed_tries == value
+
+
 def test_every_option_of_an_environment_can_be_typed() -> None:
     """A new option of `EnvironmentOptions` must not be forgotten in LeRobot's configuration."""
     elsewhere = {

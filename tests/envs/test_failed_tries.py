@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL
 
-from lerobot_adamanip.episode.options import BEST
-from lerobot_adamanip.episode.rollout import TOO_MANY_TRIES, rollout
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.tries import within_best_tries
 from lerobot_adamanip.experts import KeyFrames, make_expert
@@ -74,6 +75,33 @@ def test_it_is_what_counting_says_of_the_whole_episode(lamp: Any, most: int) -> 
         assert limited == (whole.failed_tries <= most)
         assert record.try_sequence == whole.try_sequence[: len(record.try_sequence)]
         assert outcome(lamp(BEST), hidden, modes)[0] == within_best_tries(whole)
+
+
+def test_what_is_done_after_the_limit_changes_nothing(lamp: Any) -> None:
+    env = lamp(0)
+    env.reset(seed=3, options={"hidden_overrides": {"mode": 0}})
+    frames = trying(env, [1, 0])
+    goal, ended = next(frames), False
+    for _ in range(12):
+        _, reward, terminated, truncated, info = env.step(goal.action())
+        ended = ended or truncated
+        assert (truncated, terminated, reward, info["is_success"]) == (ended, False, 0.0, False)
+        try:
+            goal = frames.send(env.feedback)
+        except StopIteration:
+            break
+    assert ended
+    assert not EpisodeRecord.from_json(env.episode_record()).success
+
+
+def test_a_late_start_that_runs_out_of_time_says_so() -> None:
+    env = KeyframeEnv("lamp", **{**SMALL, "objects": "0:1", "observe_images": False, "max_key_frames": 4})
+    env.reset(seed=3)
+    for _ in range(2):
+        env.drive(pose_vector(env.feedback.tcp_in_base, 1.0))
+    result = rollout(env, env.observe(), trying(env, [1, 1, 1, 1]))
+    assert (result.success, result.key_frames, result.reason) == (False, 2, TIME_LIMIT)
+    env.close()
 
 
 @pytest.mark.parametrize("category", ["safe", "microwave"])

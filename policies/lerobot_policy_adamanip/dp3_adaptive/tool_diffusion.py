@@ -109,7 +109,7 @@ class ToolDiffusionHead(DiffusionHead):
         chunks = torch.where(useless[:, None, None], released, chunks)
         if model.memory is None or not self.config.avoid_repeats:
             return chunks
-        return torch.cat([past.backed_off(chunks[:, 0], self.config.failed_below)[:, None], chunks[:, 1:]], dim=1)
+        return torch.where(past.is_blocked(self.config.failed_below)[:, None, None], past.retreat()[:, None], chunks)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, past: Past, noise: Tensor | None

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, STATE
+from lerobot_policy_adamanip.affordance.plans import backed_off, with_gripper
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import contact_events, goes_back, is_blocked, repeats_failure
 from lerobot_policy_adamanip.common.events import events
@@ -53,11 +53,13 @@ class Past:
         """Returns which motions (B, K, 7) undo a step before anything was tried: `goes_back`."""
         return goes_back(self.commands, self.poses, self.valid, self.contact, motions)
 
-    def backed_off(self, pose: Tensor, failed_below: float) -> Tensor:
-        """Returns poses (B, 10), replaced by a retreat where the way of the open hand is blocked: `is_blocked`."""
-        blocked = is_blocked(self.commands, self.poses, self.valid, failed_below=failed_below)
-        retreat = tool_frame.constant((0.0, 0.0, -PRE_GRASP, 0.0, 0.0, 0.0, 1.0), pose).expand(len(pose), -1)
-        return torch.where(blocked[:, None], tool_frame.pose_after(retreat, self.poses[:, -1]), pose)
+    def is_blocked(self, failed_below: float) -> Tensor:
+        """Returns whether the way of an open hand is blocked (B,): `is_blocked`."""
+        return is_blocked(self.commands, self.poses, self.valid, failed_below=failed_below)
+
+    def retreat(self) -> Tensor:
+        """Returns the poses (B, 10) of an open hand that backs off from the present one."""
+        return backed_off(with_gripper(self.poses[:, -1], 1.0))
 
 
 def past_of(window: Window) -> Past:

@@ -211,6 +211,28 @@ def test_what_failed_is_not_drawn_again(make_anchors: MakeTiny, batch_of: Any) -
         assert found == wanted
 
 
+def test_an_open_hand_is_not_sent_again_where_it_could_not_go(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """Without training: the rule alone decides. Its latest key frame stayed, so it does not back off."""
+    policy, before, _, dataset = make_anchors(num_anchors=3, num_refinements=0)
+    window, _ = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
+    state = window.observations[schema.STATE].clone()
+    state[..., 9] = 1.0
+    goals = state[0, -1, :10].repeat(3, 1)
+    goals[:, 0] += 4 * LIFTS  # apart, and not where the hand is
+    policy.fit_anchors(motion_between(goals, state[0, :1, :10]), torch.ones(3))
+    history = state[:, :-1, :10].clone()
+    history[:, -2] = goals
+    window = Window({**window.observations, schema.STATE: state}, history, torch.ones_like(window.valid))
+    predict, start = policy.head.predict, state[0, -1, 0]
+    policy.head.predict = lambda *given: (torch.zeros(3, 3), torch.zeros(3, 3, 7), *predict(*given)[2:])
+    for avoid in (True, False):
+        policy.config.avoid_repeats, drawn = avoid, []
+        for noise in torch.linspace(0, 0.99, 12):
+            drawn.append(policy.head.sample(policy.model, window, noise.expand(3))[:, 0, 0] - start)
+        for row, lift in enumerate(4 * LIFTS):
+            assert any(torch.isclose(each[row], lift, atol=1e-4) for each in drawn) != avoid
+
+
 def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchors: MakeTiny, batch_of: Any) -> None:
     """To the bit, losses and weights too: nothing that the memory learns reaches the rest."""
     policies, losses = [], []

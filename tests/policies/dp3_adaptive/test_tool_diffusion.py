@@ -11,6 +11,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
 from lerobot_policy_adamanip.affordance.plans import with_gripper
 from lerobot_policy_adamanip.common.tool_frame import pose_after
@@ -104,6 +105,24 @@ def test_a_chunk_that_repeats_a_failure_or_pulls_without_a_grip_is_drawn_again(
     assert drawn(PULL, OPEN, failed=OPEN, opening=0.2) == 0
     policy.config.avoid_repeats = False
     assert drawn(PULL, TURN, failed=PULL, opening=0.2) == 0
+
+
+def test_an_open_hand_whose_way_is_blocked_backs_off(make_tiny: MakeTiny, batch_of: Any) -> None:
+    """With each head; not where it was sent nowhere, or with the rules switched off."""
+    for preset in ("diffusion", "fast"):
+        policy, before, _, dataset = make_tiny(preset=preset)
+        policy.eval()
+        start, *_ = policy.training_window(batch_of(dataset, before, 6))
+        ahead = torch.eye(7)[2] * 0.05 + torch.eye(7)[6]
+        blocked = closed_hand(policy, start, command=ahead, opening=1.0)
+        tool = tool_of(blocked)
+        retreat = pose_after(torch.tensor([[0.0, 0.0, -PRE_GRASP, 0.0, 0.0, 0.0, 1.0]]), tool)
+        drawn = policy.head.sample(policy.model, blocked, None)
+        torch.testing.assert_close(drawn, retreat[:, None].expand_as(drawn), rtol=0, atol=1e-6)
+        staying = closed_hand(policy, start, command=torch.eye(7)[6], opening=1.0)
+        for window, avoid in ((staying, True), (blocked, False)):
+            policy.config.avoid_repeats = avoid
+            assert not torch.allclose(policy.head.sample(policy.model, window, None)[:, 0], retreat, atol=1e-3)
 
 
 def test_refinement_moves_the_first_action_of_a_chunk_alone(make_tiny: MakeTiny, batch_of: Any) -> None:
