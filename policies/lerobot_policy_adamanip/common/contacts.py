@@ -7,6 +7,8 @@ motion is not repeated until something has moved, and no step is undone before a
 
 from __future__ import annotations
 
+import math
+
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -16,7 +18,7 @@ from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATIO
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.events import EVENT_DIM
 from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between, pose_after
-from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d
+from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
@@ -91,12 +93,14 @@ def goes_back(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, m
     An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
     closed one lets go what it holds, without a contact event. Arguments are as in `repeats_failure`.
     """
-    start, opens = poses[:, :-1], commands[..., GRIPPER_DIM] >= CLOSED
-    was_open = poses[..., GRIPPER_DIM] > OPEN_HAND
+    opens, was_open = commands[..., GRIPPER_DIM] >= CLOSED, poses[..., GRIPPER_DIM] > OPEN_HAND
     went = valid & opens & was_open[:, :-1] & ~_before(valid & ~opens)
-    arrived, here = _same_place(commands, poses[:, 1:]), _same_place(start, poses[:, -1:])
     goals = pose_after(motions, poses[:, -1:])
-    same = _same_place(commands[:, :, None], goals[:, None]) & (went & (arrived | here))[..., None]
+    places = _places(torch.cat([commands, poses, goals], dim=1))
+    steps = commands.shape[1]
+    sent, felt, ends = places[:, :steps], places[:, steps : 2 * steps + 1], places[:, 2 * steps + 1 :]
+    arrived, here = _same(sent, felt[:, 1:]), _same(felt[:, :-1], felt[:, -1:])
+    same = _same(sent[:, :, None], ends[:, None]) & (went & (arrived | here))[..., None]
     holds = (poses[:, -1:, GRIPPER_DIM] >= EMPTY_HAND) & ~was_open[:, -1:] & valid[:, -1:] & ~opens[:, -1:]
     tried = (contact & ~_before(valid & opens)).any(dim=1, keepdim=True)
     wavers = same.any(dim=1) & was_open[:, -1:]
@@ -118,11 +122,16 @@ def is_blocked(commands: Tensor, poses: Tensor, valid: Tensor, *, failed_below: 
     return result
 
 
-def _same_place(first: Tensor, second: Tensor) -> Tensor:
-    """Returns whether poses (..., 10) are the same but for centimetres, (...)."""
-    near = (first[..., POSITION_DIMS] - second[..., POSITION_DIMS]).norm(dim=-1) < SAME_GOAL_M
-    turned = angle_between(first[..., ROTATION_DIMS], second[..., ROTATION_DIMS])
-    result: Tensor = near & (turned < SAME_GOAL_RAD)
+def _places(poses: Tensor) -> Tensor:
+    """Returns position and rotation matrix (..., 12) of poses (..., 10), for `_same`."""
+    return torch.cat([poses[..., POSITION_DIMS], matrix_from_6d(poses[..., ROTATION_DIMS]).flatten(-2)], dim=-1)
+
+
+def _same(first: Tensor, second: Tensor) -> Tensor:
+    """Returns whether `_places` (..., 12) are the same but for centimetres, (...), broadcast."""
+    near = (first[..., :3] - second[..., :3]).square().sum(dim=-1) < SAME_GOAL_M**2
+    trace = (first[..., 3:] * second[..., 3:]).sum(dim=-1)
+    result: Tensor = near & (trace > 1 + 2 * math.cos(SAME_GOAL_RAD))
     return result
 
 
