@@ -36,7 +36,7 @@ from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
 
 GOING_BACK = 20.0
-"""Logit taken from motions that go back while another may be drawn: then any other one is more probable."""
+"""Logit taken from motions that go back: any other one is more probable, but if all do, the likeliest still is."""
 
 
 class MemoryOfChoices(nn.Module):
@@ -149,8 +149,7 @@ class AnchorHead:
             if self.config.avoid_repeats:
                 failed, failed_now = past.repeats(drawn, self.config.failed_below)
                 rejected, useless = rejected | failed, useless | failed_now
-                goes_back = past.goes_back(drawn)
-                logits = logits - GOING_BACK * (goes_back & (~goes_back & ~rejected).any(dim=1, keepdim=True))
+                logits = logits - GOING_BACK * past.goes_back(drawn)
         opens = motions.anchors[:, -1] >= CLOSED
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
         result, done = None, torch.zeros_like(rejected[:, 0])
