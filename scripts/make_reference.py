@@ -24,7 +24,7 @@ COMMAND_PAGES, ENVIRONMENTS = ROOT / "docs" / "command_line", ROOT / "docs" / "e
 GROUPS = {
     "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes")),
     "datasets": ("Work with datasets", ("check", "repair", "stats", "view", "merge", "filter", "split", "push")),
-    "evaluate": ("Evaluate and compare", ("report", "benchmark", "bench")),
+    "evaluate": ("Evaluate and compare", ("report", "benchmark", "expert", "bench")),
     "setup": ("Objects, cameras, installation", ("doctor", "objects", "annotate", "calibrate")),
 }
 HEAD = "Generated from the source by `python scripts/make_reference.py`; a test compares the two.\n"

@@ -38,14 +38,18 @@ class Cell:
 
 
 def all_cells(declaration: Declaration, scale: str) -> list[Cell]:
-    """Returns the cells of a scale, category by category, so that an interrupted run has complete categories."""
+    """Returns the cells of a scale, category by category, so that an interrupted run has complete categories.
+
+    A method without training has one cell, of the first seed.
+    """
     chosen = declaration.scale(scale)
     table = [
-        Cell(method=method, category=category, objects=objects, seed=seed)
+        Cell(method=name, category=category, objects=objects, seed=seed)
         for seed in chosen.seeds
         for category in chosen.categories
-        for method in declaration.methods
+        for name, method in declaration.methods_of(scale).items()
         for objects in chosen.splits
+        if method.is_trained or seed == chosen.seeds[0]
     ]
     return [*table, *_curve(declaration, scale)]
 

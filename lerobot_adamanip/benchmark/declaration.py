@@ -35,11 +35,12 @@ METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
 """Entry point group for methods of other packages; each one loads the content of a table ``[methods.NAME]``."""
 OBJECT_SPLITS = ("seen", "unseen", "novel")
 NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
+_OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _, or an empty text")
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
 _COUNT = integer(1, 10**8)
 _CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
 _SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
-_OPTIONS = listing(text(r"--[a-z][\w.]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
+_OPTIONS = listing(text(r"--[a-z][\w.-]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
 _POLICY_OPTIONS = listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an option --policy.NAME=VALUE"), 0, 60)
 
 
@@ -77,11 +78,12 @@ class Round:
 
 @dataclass(frozen=True, kw_only=True)
 class Method:
-    """A row of the table.
+    """A row of the table: a policy or an expert.
 
     Attributes:
         title: name in tables.
-        policy: policy type, the value of ``--policy.type``.
+        policy: policy type, the value of ``--policy.type``; empty for an expert.
+        expert: options of `adamanip expert`, instead of a policy.
         options: ``--policy.NAME=VALUE`` options of the policy.
         demonstrations: name of the training set; empty for a policy without training.
         rounds: correction rounds after the first training.
@@ -90,22 +92,30 @@ class Method:
         evaluate: additional options of ``lerobot-eval``; they override the scale's.
         steps: training steps by scale, where they differ from the scale's.
         train_at: scale or category -> options of ``lerobot-train`` that override ``train``.
+        scales: scales that have the method; empty for all.
         paper: name in the paper; empty if the paper does not have the method.
         package: distribution that declares it; empty for the declaration itself.
     """
 
     title: Annotated[str, TITLE]
-    policy: Annotated[str, NAME]
+    policy: Annotated[str, _OPTIONAL_NAME] = ""
+    expert: Annotated[tuple[str, ...], _OPTIONS] = ()
     options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
-    demonstrations: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a set of demonstrations, or an empty text")] = ""
+    demonstrations: Annotated[str, _OPTIONAL_NAME] = ""
     rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
-    data_of: Annotated[str, text(r"|[a-z][a-z0-9_]{0,39}", "a method, or an empty text")] = ""
+    data_of: Annotated[str, _OPTIONAL_NAME] = ""
     train: Annotated[tuple[str, ...], _OPTIONS] = ()
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
     steps: Annotated[Mapping[str, int], mapping(NAME, _COUNT, 20)] = field(default_factory=dict)
     train_at: Annotated[Mapping[str, tuple[str, ...]], mapping(NAME, _OPTIONS, 20)] = field(default_factory=dict)
+    scales: Annotated[tuple[str, ...], listing(NAME, 0, 20)] = ()
     paper: Annotated[str, choice(("", *SUCCESS))] = ""
     package: str = ""
+
+    @property
+    def is_trained(self) -> bool:
+        """Whether the method learns from data."""
+        return bool(self.demonstrations or self.data_of)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +125,7 @@ class Scale:
     Attributes:
         categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings.
         objects: objects of the demonstrations and of the split ``seen``.
-        demonstrations: episodes per category.
+        demonstrations: episodes per category, or per object with ``demonstrations_per_object``.
         steps, batch_size: of each training.
         save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
         episodes: episodes per evaluation; ``environments`` of them run in parallel.
@@ -139,6 +149,7 @@ class Scale:
     categories: Annotated[tuple[str, ...], _CATEGORIES] = tuple(CATEGORIES)
     splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
     seeds: Annotated[tuple[int, ...], listing(integer(0, 2**31 - 1), 1, 100)] = (1000,)
+    demonstrations_per_object: Annotated[bool, flag] = False
     note: Annotated[str, text(r"[^\r\n|*`<>]{0,300}", "a line of plain text")] = ""
     beside_paper: Annotated[bool, flag] = True
 
@@ -181,6 +192,10 @@ class Declaration:
     def scale(self, name: str) -> Scale:
         """Returns a scale by name; raises `ConfigurationError` if it does not exist."""
         return self.scales[require_choice("scale", name, self.scales)]
+
+    def methods_of(self, scale: str) -> dict[str, Method]:
+        """Returns the methods of a scale, name -> method."""
+        return {name: method for name, method in self.methods.items() if scale in (method.scales or (scale,))}
 
 
 def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
@@ -238,14 +253,17 @@ def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
 
 def _check_method(made: Declaration, name: str, method: Method) -> None:
     _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
+    if bool(method.policy) == bool(method.expert) or (method.expert and (method.demonstrations or method.data_of)):
+        raise ValueError(f"methods.{name} needs a policy, or an expert without demonstrations")
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
     with_data = [other for other, each in made.methods.items() if each.demonstrations]
     _require(f"methods.{name}.data_of", method.data_of, ("", *with_data))
     if method.data_of and method.demonstrations:
         raise ValueError(f"methods.{name} has data_of another method and demonstrations of its own")
-    for scale in method.steps:
-        _require(f"methods.{name}.steps", scale, made.scales)
+    for field_name in ("steps", "scales"):
+        for scale in getattr(method, field_name):
+            _require(f"methods.{name}.{field_name}", scale, made.scales)
     for where in method.train_at:
         _require(f"methods.{name}.train_at", where, (*made.scales, *CATEGORIES))
 

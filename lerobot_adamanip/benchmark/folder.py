@@ -72,6 +72,12 @@ class BenchmarkFolder:
         """Returns whether a step was started; it may be done."""
         return self._begun(step) > 0
 
+    def trained_steps(self, step: Step) -> int:
+        """Returns the training steps of a training's last checkpoint; 0 if there is none."""
+        state = last_checkpoint(self.product(step)).parent / "training_state" / "training_step.json"
+        # LeRobot replaces the link to the last checkpoint after writing it; for a moment there is no link.
+        return int(json.loads(state.read_text(encoding="utf-8"))["step"]) if state.exists() else 0
+
     def _begun(self, step: Step) -> int:
         note = self._read(step)
         return note.begun if isinstance(note, StepCost) else note.get("begun", 0)

@@ -13,7 +13,9 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.command_options import expert_command, with_options
 from lerobot_adamanip.benchmark.declaration import Declaration, Demonstrations, Method, Scale
+from lerobot_adamanip.benchmark.training_log import LOGGED
 from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.evaluation.results import check_command
 
@@ -27,7 +29,7 @@ FOLDERS: Mapping[str, str] = {
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
 """Seed of an evaluation's first scene and of the policy's sampling; equal for all methods and trainings."""
-NUMBERS = ("lerobot_adamanip.evaluation.metrics", "lerobot_adamanip.evaluation.log")
+NUMBERS = tuple(f"lerobot_adamanip.evaluation.{name}" for name in ("metrics", "log", "paired"))
 """Modules that count the episodes of an evaluation."""
 _ATTEMPTS = 25
 """Attempts per demonstration: with six failed trials, long episodes of safes exceed the time limit."""
@@ -158,12 +160,18 @@ def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) ->
     # Left out for other experts, so that equal demonstrations have equal commands.
     trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()
     how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
-    return _recording(COLLECT, cell, wanted, scale, code, episodes=scale.demonstrations, how=how)
+    shared_by = 1 if scale.demonstrations_per_object else _objects(cell, scale)
+    return _recording(COLLECT, cell, wanted, scale, code, each=math.ceil(scale.demonstrations / shared_by), how=how)
 
 
 def _correction(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code, *, episodes: int, training: Step) -> Step:
     how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(wanted))
-    return _recording(CORRECT, cell, wanted, scale, code, episodes=episodes, how=how, needs=(training,))
+    each = math.ceil(episodes / _objects(cell, scale))
+    return _recording(CORRECT, cell, wanted, scale, code, each=each, how=how, needs=(training,))
+
+
+def _objects(cell: Cell, scale: Scale) -> int:
+    return len(parse_object_selection(cell.category, scale.objects))
 
 
 def _expert_options(wanted: Demonstrations) -> tuple[str, ...]:
@@ -178,17 +186,16 @@ def _recording(
     scale: Scale,
     code: Code,
     *,
-    episodes: int,
+    each: int,
     how: tuple[str, ...],
     needs: tuple[Step, ...] = (),
 ) -> Step:
-    objects = len(parse_object_selection(cell.category, scale.objects))
     command = (
         "adamanip",
         "collect",
         f"--category={cell.category}",
         f"--objects={scale.objects}",
-        f"--episodes-per-object={math.ceil(episodes / objects)}",
+        f"--episodes-per-object={each}",
         *how,
         f"--num-points={wanted.num_points}",
         f"--image-size={wanted.image_size}" if wanted.image_size else "--no-images",
@@ -211,7 +218,7 @@ def _training(
     cell: Cell, method: Method, scale: Scale, data: Step, code: Code, *, steps: int, start: Step | None = None
 ) -> Step:
     begin = f"--policy.type={method.policy}" if start is None else f"--policy.path={last_checkpoint(start.product)}"
-    command = _with_options(
+    command = with_options(
         "lerobot-train",
         begin,
         *method.options,
@@ -226,7 +233,7 @@ def _training(
         f"--output_dir={FOLDERS[TRAIN]}/{_KEY}",
         *method.train,
     )
-    logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, steps // 20)}")
+    logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, steps // LOGGED)}")
     needs = (data,) if start is None else (data, start)
     return _step(TRAIN, command, code.policies.get(cell.method, ""), logging, needs)
 
@@ -234,12 +241,12 @@ def _training(
 def _evaluation(
     cell: Cell, method: Method, scale: Scale, code: Code, *, like: Demonstrations, training: Step | None
 ) -> Step:
-    """Returns the evaluation of a policy, trained or not, in scenes with the settings of demonstrations ``like``."""
+    """Returns the evaluation of a policy, trained or not, or of an expert, in the scenes of demonstrations ``like``."""
     made = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
     product = f"{FOLDERS[EVALUATE]}/{_KEY}"
-    command = _with_options(
+    command = with_options(
         "lerobot-eval",
         *(trained or made),
         f"--policy.device={scale.device}",
@@ -261,6 +268,8 @@ def _evaluation(
     # An untrained policy has no training key, so its code enters here.
     policy = "" if training else code.policies.get(cell.method, "")
     decides = f"{code.episodes} {code.numbers} {policy}".strip()
+    if method.expert:
+        return _step(EVALUATE, expert_command(method.expert, command[1:]), decides)
     # A policy that uses images was trained with them. For others, evaluation without images is equal and faster.
     named = any(word.startswith("--env.observe_images=") for word in command)
     observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
@@ -286,14 +295,3 @@ def _spelled_in_key(word: str) -> str:
         return f"--root={word}"
     name, equals, value = word.partition("=")
     return f"{_SPELLED_IN_KEYS.get(name, name)}{equals}{value}"
-
-
-def option(command: Iterable[str], name: str) -> str:
-    """Returns the value of ``--NAME=VALUE`` in a command that contains it."""
-    (value,) = (word.partition("=")[2] for word in command if word.partition("=")[0] == name)
-    return value
-
-
-def _with_options(command: str, *options: str) -> list[str]:
-    """Returns a command with each option once; the last value of an option wins."""
-    return [command, *{option.partition("=")[0]: option for option in options}.values()]

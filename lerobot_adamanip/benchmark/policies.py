@@ -27,6 +27,7 @@ def find_policies(methods: Mapping[str, Method]) -> tuple[dict[str, str], dict[s
 
     register_third_party_plugins()
     known: Mapping[str, type[Any]] = PreTrainedConfig.get_known_choices()
+    methods = {name: method for name, method in methods.items() if method.policy}
     hashes = {name: policy_hash(known[name]) for name in {method.policy for method in methods.values()} & known.keys()}
     code, unavailable = dict[str, str](), dict[str, str]()
     for name, method in methods.items():

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Method
 from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -75,6 +75,7 @@ class BenchmarkReport:
         missing: declared cells without a result.
         unavailable: method -> why it cannot run here; empty if not checked.
         results: all results of the report.
+        present: fingerprints of the present code and of code with equal results.
     """
 
     scale: str
@@ -89,6 +90,7 @@ class BenchmarkReport:
     missing: tuple[Cell, ...]
     unavailable: Mapping[str, str]
     results: tuple[CellResult, ...]
+    present: frozenset[str]
 
     def entry(self, method: str, category: str, objects: str, trials: int | None = None) -> Entry | None:
         """Returns the entry at a position; None if there is none."""
@@ -158,10 +160,17 @@ class BenchmarkReport:
         pairs = {}
         for seed in sorted({seed for _, _, seed in found}):
             both = [[found.get((name, each, seed)) for name in (self.reference, method)] for each in categories]
-            if all(one and other and _scenes_of(one) == _scenes_of(other) for one, other in both):
+            if all(one and other and self.scenes_of(one) == self.scenes_of(other) for one, other in both):
                 pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
         lengths = {len(first) for each in pairs.values() for first, _ in each}
         return paired_difference(pairs, min_outcome) if len(lengths) == 1 else None
+
+    def scenes_of(self, result: CellResult) -> tuple[object, ...]:
+        """Returns all that decides the scenes of a result, equal for fingerprints of equal results."""
+        given = result.evaluation_options.items()
+        options = {each for each in given if each[0].startswith("--env.") and each[0] not in OBSERVATION_OPTIONS}
+        code = "present" if result.fingerprint in self.present else result.fingerprint
+        return code, result.scene_seeds, len(result.outcomes), frozenset(options)
 
     def opened_with(self, method: str, objects: str) -> list[float]:
         """Returns the share of scenes opened with at most 0, 1, ... `MAX_COUNTED_TRIES` - 1 failed tries.
@@ -234,7 +243,7 @@ def make_report(
         note=declared.note,
         beside_paper=declared.beside_paper,
         reference=declaration.reference,
-        rows=tuple(_rows(declaration, declared.beside_paper, results)),
+        rows=tuple(_rows(declaration.methods_of(scale), declared.beside_paper, results)),
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
         trials=tuple(sorted({place[1] for place in places if place[1] is not None})),
@@ -242,6 +251,7 @@ def make_report(
         missing=tuple(cell for cell in cells if cell not in there),
         unavailable=dict(unavailable or {}),
         results=tuple(results),
+        present=frozenset(present),
     )
 
 
@@ -264,24 +274,17 @@ def _entries(
     }
 
 
-def _scenes_of(result: CellResult) -> tuple[object, ...]:
-    """Returns all that decides the scenes of an evaluation."""
-    given = result.evaluation_options.items()
-    options = {each for each in given if each[0].startswith("--env.") and each[0] not in OBSERVATION_OPTIONS}
-    return result.fingerprint, result.scene_seeds, len(result.outcomes), frozenset(options)
-
-
 def _place(cell: Cell) -> Place:
     return cell.method, cell.trials, cell.category, cell.objects
 
 
-def _rows(declaration: Declaration, beside_paper: bool, results: Iterable[CellResult]) -> Iterable[Row]:
-    for name, method in declaration.methods.items():
+def _rows(methods: Mapping[str, Method], beside_paper: bool, results: Iterable[CellResult]) -> Iterable[Row]:
+    for name, method in methods.items():
         yield Row(name=name, title=method.title, paper=method.paper if beside_paper else "", package=method.package)
     others = {
         result.cell.method: Row(name=result.cell.method, title=result.title, package=result.package)
         for result in results
-        if result.cell.method not in declaration.methods
+        if result.cell.method not in methods
     }
     yield from others.values()
 

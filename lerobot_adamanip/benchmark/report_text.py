@@ -6,6 +6,7 @@ import itertools
 import operator
 from collections.abc import Iterator
 
+from lerobot_adamanip.benchmark.budget import budget_table
 from lerobot_adamanip.benchmark.paper_rates import (
     PAPER_OBJECTS,
     SUCCESS_BY_TRIALS,
@@ -82,6 +83,8 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
         yield "Success against failed trials in the demonstrations", _trials(report)
     yield "Success within a number of key frames", _budgets(report)
     yield "Tries", _tries(report)
+    if budgets := budget_table(report):
+        yield "Budget", budgets
     yield "Cost", _costs(report)
 
 
@@ -93,7 +96,7 @@ def _extent(report: BenchmarkReport) -> str:
     shown = "".join(map(_mark, report.entries.values()))
     if marks := [f"{mark}: {meaning}" for mark, meaning in _MARKS.items() if mark in shown]:
         lines.append(f"{'; '.join(marks)}.")
-    if len({(result.fingerprint, result.scenes) for result in report.results}) > 1:
+    if len({(report.scenes_of(result)[0], result.scenes) for result in report.results}) > 1:
         lines.append("Mind: several fingerprints or splits of scenes; do not compare numbers of different ones.")
     if report.missing:
         without = [_name(row) for row in report.rows if row not in report.rows_with_results]

@@ -6,13 +6,15 @@ import functools
 import json
 import shlex
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 from lerobot_adamanip.benchmark.cells import Cell
+from lerobot_adamanip.benchmark.command_options import evaluation_options
 from lerobot_adamanip.benchmark.declaration import NAME, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step
+from lerobot_adamanip.benchmark.training_log import TrainingLog
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.paired import FAILED, WITHIN_TRIES
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, Origin
@@ -72,6 +74,7 @@ class CellResult(Origin):
         numbers: metrics of the episodes.
         outcomes, failed_tries: of the scenes, see `lerobot_adamanip.evaluation.paired`; empty in results of earlier
             versions.
+        trainings: name of step -> log of the training; without those that were interrupted.
         costs: name of step -> cost; differs in every run.
     """
 
@@ -85,6 +88,9 @@ class CellResult(Origin):
     scene_seeds: Annotated[tuple[int, int], listing(integer(0, 2**31), 2, 2)]
     numbers: Annotated[Metrics, Metrics.from_json]
     costs: Annotated[Mapping[str, StepCost], mapping(_STEP_NAME, record(StepCost), 100)]
+    trainings: Annotated[Mapping[str, TrainingLog], mapping(_STEP_NAME, record(TrainingLog), 100)] = field(
+        default_factory=dict
+    )
     outcomes: Annotated[str, text(r"[012]{0,100000}", "a digit 0, 1 or 2 for each scene")] = ""
     failed_tries: Annotated[str, text(r"[0-9]{0,100000}", "a digit for each scene")] = ""
     schema: Annotated[int, integer(1, 1)] = 1
@@ -96,9 +102,8 @@ class CellResult(Origin):
 
     @functools.cached_property
     def evaluation_options(self) -> Mapping[str, str]:
-        """Options of the evaluation, name -> value, read from its command."""
-        words = shlex.split(self.steps[EVALUATE].command)
-        return {name: value for name, _, value in (word.partition("=") for word in words)}
+        """Options of the evaluation, by their names in `lerobot-eval`, read from its command."""
+        return evaluation_options(shlex.split(self.steps[EVALUATE].command))
 
     @property
     def scenes(self) -> str:

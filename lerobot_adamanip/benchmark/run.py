@@ -6,15 +6,14 @@ trainings resume; an unfinished evaluation starts again.
 
 from __future__ import annotations
 
-import json
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.command import Runner, begin_command, end_command
+from lerobot_adamanip.benchmark.command_options import evaluation_options, option
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import (
@@ -28,11 +27,11 @@ from lerobot_adamanip.benchmark.plan import (
     Step,
     last_checkpoint,
     named_steps,
-    option,
     options_key,
     plan,
 )
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, write_cell
+from lerobot_adamanip.benchmark.training_log import TrainingLog, read_training_log
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
@@ -246,7 +245,7 @@ class BenchmarkRun:
             return [*whole, *self.collect_options]
         if step.kind == TRAIN:
             leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods, including LeRobot's own
-            if behind := _trained_steps(product):
+            if behind := self.folder.trained_steps(step):
                 wanted = int(option(step.command, "--steps"))
                 config = last_checkpoint(step.product) / "train_config.json"
                 resumed = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={wanted}"]
@@ -257,7 +256,8 @@ class BenchmarkRun:
 
     def _records(self, step: Step) -> list[EpisodeRecord]:
         """Returns the episodes of an evaluation; raises `StepError` if they are not the requested ones."""
-        wanted, scenes = int(option(step.command, "--eval.n_episodes")), option(step.command, "--env.split")
+        options = evaluation_options(step.command)
+        wanted, scenes = int(options["--eval.n_episodes"]), options["--env.split"]
         try:
             records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
         except DatasetError as error:
@@ -270,6 +270,9 @@ class BenchmarkRun:
                 f"{scenes} scenes of the code {self.code.episodes}."
             )
         return records
+
+    def _training_log(self, step: Step) -> TrainingLog | None:
+        return read_training_log(self.folder.log(step)) if step.kind == TRAIN else None
 
     def _result(self, cell: Cell, step: Step) -> CellResult:
         method, records, steps = self.declaration.methods[cell.method], self._records(step), named_steps(step)
@@ -288,12 +291,6 @@ class BenchmarkRun:
             numbers=measure(records),
             outcomes=outcomes(records),
             failed_tries=failed_tries(records),
+            trainings={name: log for name, each in steps.items() if (log := self._training_log(each)) is not None},
             costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
         )
-
-
-def _trained_steps(folder: Path) -> int:
-    """Returns the training steps of the last checkpoint; 0 if there is none."""
-    state = last_checkpoint(folder).parent / "training_state" / "training_step.json"
-    # LeRobot replaces the link to the last checkpoint after writing it; for a moment there is no link.
-    return int(json.loads(state.read_text(encoding="utf-8"))["step"]) if state.exists() else 0

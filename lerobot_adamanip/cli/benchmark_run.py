@@ -85,6 +85,7 @@ def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) 
     from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 
     policies, unavailable = find_policies(declaration.methods)
+    experts = {name: code_fingerprint()["experts"] for name, method in declaration.methods.items() if method.expert}
     return BenchmarkRun(
         declaration=declaration,
         scale=scale,
@@ -92,7 +93,7 @@ def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) 
         code=Code(
             demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
             episodes=environment_fingerprint(),
-            policies=policies,
+            policies={**policies, **experts},
             numbers=code_hash(code_closure(*NUMBERS)),
         ),
         origin=present_origin(),

@@ -50,6 +50,7 @@ COMMANDS = {
     "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board and the arm"),
     "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
     "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
+    "expert": Entry("expert:Expert", "evaluate an expert in the scenes in which policies are evaluated"),
     "bench": Entry("bench:Bench", "measure the speed of collection, simulation, observation, training and action"),
 }
 

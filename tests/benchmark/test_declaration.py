@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +20,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 def test_the_papers_declaration_has_every_method_of_the_paper() -> None:
     found = read_declaration()
     assert {method.paper for method in found.methods.values()} - {""} == set(SUCCESS)
-    assert set(found.scales) == {"smoke", "overfit", "cpu", "full"}
+    assert set(found.scales) == {"smoke", "overfit", "cpu", "paper", "full"}
     assert found.scale("cpu").categories == tuple(CATEGORIES)
     assert found.scale("cpu").episodes >= 50
     assert found.trials is not None
@@ -33,10 +34,26 @@ def test_the_papers_methods_learn_from_what_the_paper_trained_them_on() -> None:
         for name, method in found.methods.items()
         if method.paper
     }
-    assert {name for name, expert in experts.items() if expert == "adaptive"} == {"adaafford", "dp3_adaptive"}
+    heads = ("dp3_adaptive", "diffusion")
+    assert {name for name, expert in experts.items() if expert == "adaptive"} == {"adaafford", *heads}
     assert set(experts.values()) == {"adaptive", "static"}
-    without, ours = found.methods["dp3_adaptive_on_static"], found.methods["dp3_adaptive"]
-    assert (without.policy, without.options) == (ours.policy, ours.options)
+    for head in heads:
+        for history in ("", "_without_history"):
+            without, ours = (found.methods[f"{head}{on}{history}"] for on in ("_on_static", ""))
+            assert (without.policy, without.options) == (ours.policy, ours.options)
+            assert {**without.steps, "smoke": 0} == {**ours.steps, "smoke": 0}
+
+
+def test_a_method_and_its_variant_are_trained_alike() -> None:
+    """Variants differ in their tests alone, so they share their trainings."""
+    for path, pairs in (
+        ("paper_table.toml", [("dp3", "dp3_one_action")]),
+        ("default_policy.toml", [("corrected", "corrected_without_memory"), ("corrected", "corrected_without_rules")]),
+    ):
+        methods = read_declaration(PAPER_TABLE.with_name(path)).methods
+        for one, other in pairs:
+            kept = {name: getattr(methods[one], name) for name in ("title", "paper", "scales", "evaluate")}
+            assert replace(methods[other], **kept) == methods[one]
 
 
 def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
@@ -54,7 +71,7 @@ def test_every_row_of_the_papers_table_can_be_made_here() -> None:
     methods = read_declaration().methods
     code, unavailable = find_policies(methods)
     assert unavailable == {}
-    assert code.keys() == methods.keys()
+    assert code.keys() == {name for name, method in methods.items() if method.policy}
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
@@ -75,7 +92,9 @@ def changed(path: str, value: Any) -> dict[str, Any]:
     [
         ("reference", "theirs", "reference is 'theirs'"),
         ("methods/ours/demonstrations", "some", "methods.ours.demonstrations is 'some'"),
-        ("methods/ours/policy", None, "methods.ours lacks policy"),
+        ("methods/ours/policy", None, "methods.ours needs a policy"),
+        ("methods/ours/expert", ["--expert=static"], "methods.ours needs a policy, or an expert"),
+        ("methods/theirs", {"title": "a", "expert": ["--a=b"], "demonstrations": "static"}, "without demonstrations"),
         ("methods/ours/data_of", "untrained", "methods.ours.data_of is 'untrained'"),
         ("methods/ours/data_of", "ours_on_static", "methods.ours has data_of another method"),
         ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),
@@ -136,9 +155,12 @@ def test_the_page_tells_the_scales_and_methods_as_they_are() -> None:
     found = read_declaration()
     for name, scale in found.scales.items():
         cell = f"{len(scale.seeds)} × {scale.episodes}"
-        numbers = (scale.demonstrations, f"{scale.steps:,}", cell, ", ".join(scale.splits))
+        demonstrations = f"{scale.demonstrations}{' of an object' * scale.demonstrations_per_object}"
+        numbers = (demonstrations, f"{scale.steps:,}", cell, ", ".join(scale.splits))
         assert re.search(rf"^\| `{name}` \|.*\| {' . '.join(map(str, numbers))} \|$", page, re.MULTILINE), name
     for name, method in found.methods.items():
-        wanted = found.demonstrations[method.demonstrations]
-        learns = f"{wanted.expert}{', with pictures' if wanted.image_size else ''}"
+        learns = "nothing"
+        if method.is_trained:
+            wanted = found.demonstrations[method.demonstrations]
+            learns = f"{wanted.expert}{', with pictures' if wanted.image_size else ''}"
         assert f"\n| `{name}` | {learns} | {method.paper or ''}{' ' * bool(method.paper)}|\n" in page, name

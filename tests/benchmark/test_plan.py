@@ -12,6 +12,7 @@ import pytest
 from benchmark_helpers import CODE, SCALE, content, declared, with_scale
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
+from lerobot_adamanip.benchmark.command_options import evaluation_options, option
 from lerobot_adamanip.benchmark.declaration import Declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
@@ -21,7 +22,6 @@ from lerobot_adamanip.benchmark.plan import (
     Step,
     last_checkpoint,
     named_steps,
-    option,
     options_key,
     plan,
 )
@@ -63,7 +63,9 @@ def test_cells_are_all_combinations_each_once() -> None:
     for scale, chosen in declaration.scales.items():
         cells = all_cells(declaration, scale)
         table = [each for each in cells if each.trials is None]
-        assert len(table) == len(declaration.methods) * len(chosen.categories) * len(chosen.splits) * len(chosen.seeds)
+        methods = declaration.methods_of(scale)
+        trainings = sum(len(chosen.seeds) if method.is_trained else 1 for method in methods.values())
+        assert len(table) == trainings * len(chosen.categories) * len(chosen.splits)
         assert len({each.name for each in cells}) == len(cells)
         curve = [each for each in cells if each.trials is not None]
         assert len(curve) == (7 * 2 * len(chosen.seeds) if scale in ("cpu", "full") else 0)
@@ -146,6 +148,32 @@ def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
     found = steps(declared(methods=methods), which=cell("untrained"))
     assert set(found) == {EVALUATE}
     assert {"--policy.type=luck", "--policy.luck=0.5"} < set(found[EVALUATE].command)
+
+
+def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
+    methods = {**content()["methods"], "expert": {"title": "Expert", "expert": ["--expert=static", "--trials=2"]}}
+    scale = {**content()["scales"][SCALE], "seeds": [1, 2], "evaluate": ["--seed=7", "--env.max_failed_tries=best"]}
+    declaration = declared(methods=methods, scales={SCALE: scale})
+    assert [each.seed for each in all_cells(declaration, SCALE) if each.method == "expert"] == [1, 1]
+    code = dataclasses.replace(CODE, policies={"expert": "e" * 16})
+    (test,) = plan(cell("expert"), declaration, SCALE, code).chain()
+    made = parse("expert", test.command[2:])
+    assert (made.expert, made.trials, made.seed, made.episodes) == ("static", 2, 7, 5)
+    assert str(made.episode_log.parent) == test.product
+    policy = evaluation_options(steps(declaration)[EVALUATE].command)
+    expert = evaluation_options(test.command)
+    assert {name: policy[name] for name in expert if name != "--env.episode_log"} == {
+        name: value for name, value in expert.items() if name != "--env.episode_log"
+    }
+    assert {"--env.type", "--env.objects", "--env.split", "--env.max_failed_tries", "--seed"} < expert.keys()
+    other = dataclasses.replace(CODE, policies={"expert": "f" * 16})
+    assert plan(cell("expert"), declaration, SCALE, other).key != test.key
+
+
+def test_demonstrations_are_counted_by_category_or_by_object() -> None:
+    for is_per_object, wanted in ((False, "3"), (True, "6")):
+        command = steps(with_scale(demonstrations_per_object=is_per_object))[COLLECT].command
+        assert option(command, "--episodes-per-object") == wanted
 
 
 def test_options_of_a_method_win() -> None:

@@ -35,7 +35,8 @@ WRONG = (
     "collect x --mechanism-rules papr", "collect x --mechanism-preset paper", "collct", "replay",
     "replay x --episode first", "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out",
     "split one", "view", "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor",
-    "calibrate x --mounting hand", "report --label", "benchmark --workers x", "bench --category dor",
+    "calibrate x --mounting hand", "report --label", "benchmark --workers x",
+    "expert --category dor", "bench --category dor",
 )  # fmt: skip
 
 

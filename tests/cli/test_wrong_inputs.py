@@ -80,6 +80,11 @@ WRONG = (
     ("benchmark --scale smoke --categories door", "--list"),
     ("benchmark --scale smok", "did you mean smoke?"),
     ("bench --quik", "--quick"),
+    ("expert --expert-strateg paper", "--expert-strategy"),
+    ("expert --split tests", "did you mean test?"),
+    ("expert --episodes 0", "--episodes 50"),
+    ("expert --episode-log dataset", "dataset"),
+    ("expert --max-failed-tries bst", "best"),
 )
 
 

@@ -1,0 +1,135 @@
+"""`adamanip expert`: evaluates a scripted expert in the scenes in which `lerobot-eval` evaluates policies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from lerobot_adamanip.cli.arguments import Category, print_result
+from lerobot_adamanip.cli.progress import show_progress
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    from lerobot_adamanip.episode.rollout import SimulatedEnvironment
+    from lerobot_adamanip.evaluation.record import EpisodeRecord
+
+_EXPERT_STREAM = 1
+"""Distinguishes the expert's random numbers from those of the scene."""
+
+
+@dataclass
+class Expert:
+    """Evaluates a scripted expert: the scenes, the limits and the log are those of `lerobot-eval`.
+
+    An expert knows the poses of the parts. The adaptive one does not see what is hidden: its result is what a policy
+    with perfect perception and memory reaches.
+    """
+
+    category: Category = "safe"
+    """Category of the objects."""
+
+    expert: Literal["adaptive", "static"] = "adaptive"
+    """Expert. adaptive: knows only what a policy can observe, tries and recovers. static: sees the hidden state."""
+
+    expert_strategy: Literal["paper", "upstream", "to_stop"] = "to_stop"
+    """When the adaptive expert tries to open, see `adamanip collect`. to_stop: with the fewest failed tries."""
+
+    trials: int = 1
+    """Failed tries before the adaptive expert changes its strategy."""
+
+    objects: str = "seen"
+    """Objects: seen, unseen, novel, FIRST:END, nFIRST:nEND, or ids separated by commas."""
+
+    split: str = "validation"
+    """Split of scenes: train, validation, or test (for reported numbers)."""
+
+    poses: str = "randomized"
+    """Poses of object, robot and camera: randomized or fixed."""
+
+    mechanism_rules: str = "paper"
+    """Rules of mechanisms: paper, upstream or hard."""
+
+    episode_length: int = MAX_KEY_FRAMES
+    """Maximum key frames per episode."""
+
+    max_failed_tries: str | None = None
+    """Maximum failed tries per episode: a number, or best. Default: no limit."""
+
+    episodes: int = 50
+    """Number of scenes."""
+
+    seed: int = 1000
+    """Seed of the first scene, as in `lerobot-eval`."""
+
+    episode_log: Path = Path("outputs/expert/episodes.jsonl")
+    """New file for the episodes' records, for `adamanip report`."""
+
+    json: bool = False
+    """Print one JSON object instead of tables."""
+
+    def run(self) -> int:
+        """Runs the episodes and reports them. Returns 0."""
+        if self.episodes < 1:
+            raise ConfigurationError("No episode.", got=self.episodes, allowed="1 or more", hint="--episodes 50")
+        if self.episode_log.exists():
+            raise ConfigurationError(
+                "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"
+            )
+        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries")
+        options = EnvironmentOptions(
+            **{name: getattr(self, name) for name in shared},
+            max_key_frames=self.episode_length,
+            observe_images=False,
+            episode_log=str(self.episode_log),
+            run_label=f"{self.expert} expert",
+        )
+        from lerobot_adamanip.evaluation.report import compare
+        from lerobot_adamanip.evaluation.text_format import markdown_table
+
+        comparison = compare({"expert": list(self._episodes(options))})
+        table = markdown_table(["", "expert"], comparison.rows(), align=True)
+        text = "\n".join((comparison.title, "", table, "", *comparison.lines(), f"written: {self.episode_log}"))
+        print_result(self.json, {**comparison.to_json(), "episode_log": self.episode_log}, text)
+        return 0
+
+    def _episodes(self, options: EnvironmentOptions) -> Iterator[EpisodeRecord]:
+        from lerobot_adamanip.evaluation.record import EpisodeRecord
+        from lerobot_env_adamanip.make_env import make_keyframe_env
+
+        env = make_keyframe_env(options)
+        try:
+            with show_progress({"episodes": "episodes"}) as progress:
+                for number in range(self.episodes):
+                    progress("episodes", number, self.episodes)
+                    self._episode(env, self.seed + number)
+                    yield EpisodeRecord.from_json(env.episode_record())
+                progress("episodes", self.episodes, self.episodes)
+        finally:
+            env.close()
+
+    def _episode(self, env: SimulatedEnvironment, seed: int) -> None:
+        """Runs an episode to its end: if the expert gives up, its last goal is repeated until a limit is reached."""
+        import numpy as np
+
+        from lerobot_adamanip.episode.rollout import KeyFrame, rollout
+        from lerobot_adamanip.experts import make_expert
+
+        observation, _ = env.reset(seed=seed)
+        expert = make_expert(
+            self.category,
+            self.expert,
+            env.annotations,
+            generator=np.random.default_rng([seed, _EXPERT_STREAM]),
+            trials=self.trials,
+            hidden=env.hidden_state() if self.expert == "static" else None,
+            strategy=self.expert_strategy,
+            mechanism_rules=self.mechanism_rules,
+        )
+        sent: list[KeyFrame] = []
+        rollout(env, observation, expert, sent.append)
+        while not any(env.drive(sent[-1].goal.action())):
+            pass
