@@ -2,7 +2,7 @@
 
 The documents are docs/results.md, docs/results.csv, docs/leaderboard.md and the README's block of results.
 The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. Numbers with another
-fingerprint than the current code are not in the README; docs/results.md marks them.
+fingerprint than the current code are not in the README; docs/results.md marks or lists them.
 """
 
 from __future__ import annotations
@@ -26,6 +26,12 @@ from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json", "policies.json", "experts.json")
 """Result files for the README. docs/results.md shows all."""
+SCALES = ("test", "paper", "cpu", "overfit")
+"""Order of the scales on the page; others follow."""
+PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
+
+![Success by method and category, with intervals](images/benchmark_success.png)
+"""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"
 
@@ -70,11 +76,12 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     reports = list(benchmark_reports(folder, present))
     tables = [summary(report) for report in reports if _is_current(report)]
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
-    pages = (benchmark_page(report, level=2) for report in reports)
-    parts = (results_page(results, present), *pages)
+    reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
+    pages = [benchmark_page(report, level=2) for report in reports]
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
     board = leaderboard_page(entries(folder, present))
-    return {PAGE: "\n".join(parts), PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board}
+    page = results_page(results, present, [PICTURES, *pages] if pages else [])
+    return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board}
 
 
 def main() -> int:

@@ -22,6 +22,7 @@ from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Difference, Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
+_PAPER = f"the paper, {PAPER_OBJECTS}"
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
@@ -115,9 +116,14 @@ def _means(report: BenchmarkReport) -> str:
             entries = [report.entry(row.name, category, objects) for category in report.categories]
             marks = "".join(mark for mark in _MARKS if any(entry and mark in _mark(entry) for entry in entries))
             cells.append("-" if mean is None else f"{100 * mean:.1f} % {marks}".strip())
+        within = report.mean(row.name, report.splits[0], operator.attrgetter("within_best_tries"))
         paper = reported_mean(row.paper, report.categories)
-        rows.append([_name(row), *cells, "-" if paper is None else f"{paper:.1f} %"])
-    return _beside_paper(report, ["method"], rows)
+        shares = ("-" if share is None else f"{share:.1f} %" for share in (within and 100 * within, paper))
+        rows.append([_name(row), *cells, *shares])
+    titles = ["method", *_objects(report), f"{METRICS['within_best_tries'].title}, {report.splits[0]}", _PAPER]
+    kept = [number for number, title in enumerate(titles) if title != _PAPER or report.beside_paper]
+    kept = [number for number in kept if number <= len(report.splits) or any(row[number] != "-" for row in rows)]
+    return markdown_table([titles[number] for number in kept], [[row[number] for number in kept] for row in rows])
 
 
 def _success(report: BenchmarkReport) -> str:
@@ -126,17 +132,10 @@ def _success(report: BenchmarkReport) -> str:
         for row in report.rows_with_results:
             cells = [_cell(report, row, category, objects) for objects in report.splits]
             paper = reported(row.paper, category)
-            rows.append(
-                [words(category), _name(row), *cells, "-" if paper is None else "{:.1f} ± {:.1f}".format(*paper)]
-            )
-    return _beside_paper(report, ["category", "method"], rows)
-
-
-def _beside_paper(report: BenchmarkReport, titles: list[str], rows: list[list[str]]) -> str:
-    """Returns a table by split of objects; the last column shows the paper's values, if they are wanted."""
-    columns = [*titles, *_objects(report), f"the paper, {PAPER_OBJECTS}"]
-    kept = len(columns) if report.beside_paper else -1
-    return markdown_table(columns[:kept], [row[:kept] for row in rows])
+            shown = "-" if paper is None else "{:.1f} ± {:.1f}".format(*paper)
+            rows.append([words(category), _name(row), *cells, *[shown] * report.beside_paper])
+    titles = ["category", "method", *_objects(report), *[_PAPER] * report.beside_paper]
+    return markdown_table(titles, rows)
 
 
 def _cell(report: BenchmarkReport, row: Row, category: str, objects: str) -> str:

@@ -22,30 +22,35 @@ The *fingerprint* is a hash of the simulation code, and of the experts where the
 present fingerprint only. Brackets hold Wilson's 95 % intervals. Tables of tries count seen, unseen and novel objects
 together. Commands are those of the commit below each table; later versions may spell them otherwise.
 """
+EARLIER = """## Measured with earlier code
+
+The present code may give other numbers. [results.csv](results.csv) has them.
+"""
 NOTHING = "No number is shown here: none has been measured with the present code yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
 """Metrics of the second table, limited by the page width; the CSV contains all."""
 
 
-def results_page(results: Mapping[str, ResultFile], present: Container[str]) -> str:
+def results_page(results: Mapping[str, ResultFile], present: Container[str], benchmarks: Iterable[str] = ()) -> str:
     """Returns docs/results.md.
 
     Args:
-        results: by file name.
+        results: by file name; those of earlier code are listed without their tables.
         present: fingerprints of the present code, with and without experts.
+        benchmarks: Markdown of the benchmark's reports.
     """
-    parts = [INTRODUCTION]
-    if not any(result.fingerprint in present for result in results.values()):
+    current = {name: result for name, result in results.items() if result.fingerprint in present}
+    earlier = {name: result for name, result in results.items() if name not in current}
+    parts = [INTRODUCTION, *benchmarks]
+    if len(parts) == 1 and not current:
         parts.append(f"{NOTHING}\n")
-    for name, result in sorted(results.items(), key=lambda item: item[1].fingerprint not in present):
+    for name, result in current.items():
         parts.append(f"## {_heading(result)}\n")
-        if result.fingerprint not in present:
-            parts.append(
-                f"**Measured with earlier code**, fingerprint `{result.fingerprint}` (version {result.version}); "
-                "the present code may give other numbers.\n"
-            )
         parts += [f"{table}\n" for table in (success_table(result), _tries(result)) if table]
         parts.append(f"{source_line(name, result)}\n")
+    if earlier:
+        lines = (f"- {_heading(result)}: {source_line(name, result)}" for name, result in earlier.items())
+        parts += [EARLIER, "\n".join(lines), ""]
     return "\n".join(parts)
 
 
