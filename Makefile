@@ -4,7 +4,7 @@
 SHELL := /bin/bash
 .SHELLFLAGS := -eu -o pipefail -c
 .DEFAULT_GOAL := help
-.PHONY: help setup pictures test quick quick-tests lerobot nightly check format docs release bench demo clean
+.PHONY: help setup pictures test quick quick-tests lerobot nightly check format docs release bench publish demo clean
 export NO_SYSTEM
 
 BIN := .venv/bin
@@ -75,6 +75,10 @@ release: .venv/.simulates  ## build wheel and source archive in dist/, test them
 
 bench: pictures  ## measure speed on this machine
 	$(BIN)/adamanip bench
+
+publish: .venv/.simulates  ## publish nine policies, their data and the environments: make publish USER=you [ARGS=--dry-run]
+	$(if $(filter command,$(origin USER)),,$(error whose? make publish USER=you))
+	$(BIN)/python scripts/publish.py --user "$(USER)" $(ARGS)
 
 demo: setup  ## collect, train and evaluate on a few safes
 	bash scripts/demo.sh

@@ -1,0 +1,81 @@
+"""`make publish`: a benchmark's policy, its data and the environments, on a Hub on loopback."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import publish
+import pytest
+from benchmark_helpers import FakeRunner, benchmark, declared, run_all
+from loopback_hub import LoopbackHub
+
+from lerobot_adamanip.benchmark.plan import FOLDERS, last_checkpoint
+from lerobot_adamanip.benchmark.result import read_cell, write_cell
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+@pytest.fixture
+def folder(published: Path, trained: Path, tmp_path: Path) -> Path:
+    """A benchmark's folder with results of ``ours`` on safes, whose dataset and checkpoint are real."""
+    root = tmp_path / "bench"
+    for state in run_all(benchmark(root, FakeRunner(tmp_path / "fake"), declared())):
+        assert state.result is not None
+    step = read_cell(root / "cells" / "ours-safe-seen-1000.json").steps
+    for name, product in (("collect", published), ("train", trained)):
+        made = root / FOLDERS[name] / step[name].key
+        made.rename(made.with_name(f"fake-{name}"))
+        place = made if name == "collect" else last_checkpoint(made)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.symlink_to(product)
+    return root
+
+
+def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run: Any, hub: LoopbackHub) -> None:
+    words = [str(ROOT / "scripts" / "publish.py"), "--user", "someone", "--benchmark", str(folder), "--method", "ours"]
+    words += ["--categories", "safe", "--name", "tiny", "--json"]
+    assert json.loads(run(*words, "--dry-run").stdout)
+    assert not hub.repositories
+    told = json.loads(run(*words).stdout)
+    assert [(each["kind"], each["repo_id"]) for each in told] == [
+        ("dataset", "someone/adamanip-safe"),
+        ("model", "someone/tiny-safe"),
+        ("environment", "someone/adamanip"),
+    ]
+    assert all(each["bytes"] > 0 and each["changed"] for each in told)
+    card = hub.files("models", "someone/tiny-safe")["README.md"].decode()
+    for objects in ("seen", "unseen"):
+        cell = read_cell(folder / "cells" / f"ours-safe-{objects}-1000.json")
+        success = cell.numbers.success
+        assert f"| Ours | safe | {objects} | paper | {success.count}/{success.episodes}" in card
+        assert cell.steps["evaluate"].command in card
+    assert "someone/adamanip-safe" in card
+    assert not any(each["changed"] for each in json.loads(run(*words).stdout)), "again sends nothing"
+
+
+def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert publish.main(["--user", "someone", "--benchmark", str(folder), "--method", "theirs", "--dry-run"]) == 2
+    told = capsys.readouterr().err
+    assert "error: No result of this policy." in told
+    assert "theirs-bottle-seen-1000.json" in told
+
+
+def test_a_result_on_a_card_is_that_of_its_file(folder: Path) -> None:
+    path = folder / "cells" / "ours-safe-seen-1000.json"
+    cell = dataclasses.replace(read_cell(path), commit="d" * 40, changed=False)
+    write_cell(path, cell)
+    made = publish.result_file(publish.results_of(folder, "ours", "safe", 1000)[0])
+    assert (made.commit, made.fingerprint, made.seeds, made.rows[0].metrics) == (
+        cell.commit, cell.fingerprint, cell.scene_seeds, cell.numbers
+    )  # fmt: skip
+
+
+def test_whose_it_is_must_be_said() -> None:
+    """The login's name, which make knows too, is nobody's on the Hub."""
+    done = subprocess.run(["make", "-n", "publish"], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "make publish USER=you" in done.stderr
