@@ -212,7 +212,12 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
 
 
 def parse_declaration(content: Mapping[str, Any]) -> Declaration:
-    """Returns the declaration in decoded TOML; raises ValueError that names the invalid field."""
+    """Returns the declaration in decoded TOML; raises ValueError that names the invalid field.
+
+    A method's field ``like`` names a method above it, whose fields are its defaults, except ``title`` and ``paper``.
+    """
+    if isinstance(methods := content.get("methods"), Mapping):
+        content = {**content, "methods": _with_defaults(methods)}
     made = record(Declaration)("the declaration", content)
     _require("reference", made.reference, made.methods)
     for name, method in made.methods.items():
@@ -225,6 +230,19 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
         for scale in curve.scales:
             _require("trials.scales", scale, made.scales)
     return made
+
+
+def _with_defaults(methods: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the tables of methods with the fields of those that they are ``like``."""
+    found: dict[str, Any] = {}
+    for name, own in methods.items():
+        found[name] = own
+        if isinstance(own, Mapping) and "like" in own:
+            _require(f"methods.{name}.like", own["like"], [other for other in found if other != name])
+            merged = {**found[own["like"]], "paper": "", **own}
+            left_out = {"like"} if "title" in own else {"like", "title"}
+            found[name] = {key: value for key, value in merged.items() if key not in left_out}
+    return found
 
 
 def with_packages(declaration: Declaration) -> Declaration:

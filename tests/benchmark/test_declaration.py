@@ -40,20 +40,18 @@ def test_the_papers_methods_learn_from_what_the_paper_trained_them_on() -> None:
     for head in heads:
         for history in ("", "_without_history"):
             without, ours = (found.methods[f"{head}{on}{history}"] for on in ("_on_static", ""))
-            assert (without.policy, without.options) == (ours.policy, ours.options)
-            assert {**without.steps, "smoke": 0} == {**ours.steps, "smoke": 0}
+            assert (without.policy, without.options, without.steps) == (ours.policy, ours.options, ours.steps)
 
 
-def test_a_method_and_its_variant_are_trained_alike() -> None:
-    """Variants differ in their tests alone, so they share their trainings."""
-    for path, pairs in (
-        ("paper_table.toml", [("dp3", "dp3_one_action")]),
-        ("default_policy.toml", [("corrected", "corrected_without_memory"), ("corrected", "corrected_without_rules")]),
-    ):
-        methods = read_declaration(PAPER_TABLE.with_name(path)).methods
-        for one, other in pairs:
-            kept = {name: getattr(methods[one], name) for name in ("title", "paper", "scales", "evaluate")}
-            assert replace(methods[other], **kept) == methods[one]
+def test_a_method_can_be_like_one_above_it() -> None:
+    methods = {
+        **content()["methods"],
+        "variant": {"like": "ours", "title": "Variant", "evaluate": ["--a=b"]},
+        "again": {"like": "variant", "title": "Again", "demonstrations": "static"},
+    }
+    found = declared(methods=methods).methods
+    assert found["variant"] == replace(found["ours"], title="Variant", paper="", evaluate=("--a=b",))
+    assert found["again"] == replace(found["variant"], title="Again", demonstrations="static")
 
 
 def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
@@ -94,6 +92,9 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/ours/demonstrations", "some", "methods.ours.demonstrations is 'some'"),
         ("methods/ours/policy", None, "methods.ours needs a policy"),
         ("methods/ours/expert", ["--expert=static"], "methods.ours needs a policy, or an expert"),
+        ("methods/theirs", {"title": "a", "like": "none"}, "methods.theirs.like is 'none'"),
+        ("methods/theirs", {"title": "a", "like": "theirs"}, "methods.theirs.like is 'theirs'"),
+        ("methods/theirs", {"like": "ours"}, "methods.theirs lacks title"),
         ("methods/theirs", {"title": "a", "expert": ["--a=b"], "demonstrations": "static"}, "without demonstrations"),
         ("methods/ours/data_of", "untrained", "methods.ours.data_of is 'untrained'"),
         ("methods/ours/data_of", "ours_on_static", "methods.ours has data_of another method"),
