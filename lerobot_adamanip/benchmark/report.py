@@ -226,8 +226,7 @@ def make_report(
 
     Args:
         results: of any cells, declared or not.
-        declaration: the benchmark.
-        scale: name of the scale.
+        declaration, scale: the benchmark, and the name of one of its scales.
         present: fingerprints of the present code.
         unavailable: method -> why it cannot run here; empty if not checked.
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
@@ -237,7 +236,7 @@ def make_report(
     other_options = {each.cell for each in results if options.get(each.cell, each.options) != each.options}
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
     there = {result.cell for result in results}
-    places = {_place(cell) for cell in (*cells, *there)}
+    places = [_place(cell) for cell in (*cells, *there)]
     return BenchmarkReport(
         scale=scale,
         note=declared.note,
@@ -246,7 +245,7 @@ def make_report(
         rows=tuple(_rows(declaration.methods_of(scale), declared.beside_paper, results)),
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
-        trials=tuple(sorted({place[1] for place in places if place[1] is not None})),
+        trials=tuple(sorted({trials for _, trials, _, _ in places if trials is not None})),
         entries=_entries(results, cells, other_code, other_options),
         missing=tuple(cell for cell in cells if cell not in there),
         unavailable=dict(unavailable or {}),
