@@ -226,14 +226,16 @@ def make_report(
 
     Args:
         results: of any cells, declared or not.
-        declaration, scale: the benchmark, and the name of one of its scales.
+        declaration: the benchmark.
+        scale: name of the scale.
         present: fingerprints of the present code.
         unavailable: method -> why it cannot run here; empty if not checked.
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
     cells, declared = all_cells(declaration, scale), declaration.scale(scale)
-    options = {cell: options_key(cell, declaration, scale) for cell in cells}
-    other_options = {each.cell for each in results if options.get(each.cell, each.options) != each.options}
+    other_options = {
+        r.cell for r in results if r.cell in cells and options_key(r.cell, declaration, scale) != r.options
+    }
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
     there = {result.cell for result in results}
     places = [_place(cell) for cell in (*cells, *there)]
