@@ -232,10 +232,8 @@ def make_report(
         unavailable: method -> why it cannot run here; empty if not checked.
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
-    cells, declared = all_cells(declaration, scale), declaration.scale(scale)
-    other_options = {
-        r.cell for r in results if r.cell in cells and options_key(r.cell, declaration, scale) != r.options
-    }
+    declared, cells = declaration.scale(scale), all_cells(declaration, scale)
+    other_options = _with_other_options(results, cells, declaration, scale)
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
     there = {result.cell for result in results}
     places = [_place(cell) for cell in (*cells, *there)]
@@ -254,6 +252,13 @@ def make_report(
         results=tuple(results),
         present=frozenset(present),
     )
+
+
+def _with_other_options(
+    results: Iterable[CellResult], cells: Collection[Cell], declaration: Declaration, scale: str
+) -> set[Cell]:
+    measured = [each for each in results if each.cell in cells]
+    return {each.cell for each in measured if each.options != options_key(each.cell, declaration, scale)}
 
 
 def _entries(
