@@ -233,7 +233,7 @@ def make_report(
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
     declared, cells = declaration.scale(scale), all_cells(declaration, scale)
-    other_options = _with_other_options(results, cells, declaration, scale)
+    other_options = _with_other_options(results, declaration, scale)
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
     there = {result.cell for result in results}
     places = [_place(cell) for cell in (*cells, *there)]
@@ -254,10 +254,9 @@ def make_report(
     )
 
 
-def _with_other_options(
-    results: Iterable[CellResult], cells: Collection[Cell], declaration: Declaration, scale: str
-) -> set[Cell]:
-    measured = [each for each in results if each.cell in cells]
+def _with_other_options(results: Iterable[CellResult], declaration: Declaration, scale: str) -> set[Cell]:
+    declared = set(all_cells(declaration, scale))
+    measured = [each for each in results if each.cell in declared]
     return {each.cell for each in measured if each.options != options_key(each.cell, declaration, scale)}
 
 
