@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -64,6 +65,15 @@ def test_a_policy_that_repeats_and_the_best_one_have_what_they_must(lamp: Any) -
         success, record = outcome(env, hidden, list(MODES))
         assert success
         assert record.failed_tries == hidden
+
+
+def test_a_random_policy_has_what_it_must(lamp: Any) -> None:
+    """Three tries of three motions, each drawn anew, open 1 - (2/3)^3 of all lamps."""
+    env, opens = lamp(BEST), dict[tuple[int, ...], bool]()
+    drawn = [modes[: modes.index(0) + 1] if 0 in modes else modes for modes in itertools.product(MODES, repeat=3)]
+    for modes in set(drawn):
+        opens[modes], _ = outcome(env, 0, list(modes))
+    assert sum(opens[modes] for modes in drawn) == 27 - 8
 
 
 @pytest.mark.parametrize("most", [0, 1, 2, 5])
