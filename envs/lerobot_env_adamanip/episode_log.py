@@ -57,8 +57,7 @@ class EpisodeMonitor:
     @property
     def limit(self) -> str | None:
         """The limit that has ended the episode: `TIME_LIMIT` or `TOO_MANY_TRIES`; None if there is none yet."""
-        failed = self.labels.trial + self.labels.failed
-        if self._max_failed_tries is not None and failed > self._max_failed_tries:
+        if self._max_failed_tries is not None and self.record().failed_tries > self._max_failed_tries:
             return TOO_MANY_TRIES
         return TIME_LIMIT if self.key_frames >= self._max_key_frames else None
 

@@ -108,9 +108,19 @@ class EpisodeRecord:
         return None if value is None else bool(value)
 
     @property
+    def counted_tries(self) -> tuple[TryMade, ...]:
+        """The tries, without pulls that stall after the part has given way: nothing is hidden there any more."""
+        found, has_given_way = list[TryMade](), False
+        for joint, sign, failed in self.try_sequence:
+            if joint > 0 or not (failed and has_given_way):
+                found.append((joint, sign, failed))
+            has_given_way |= joint == 0 and not failed
+        return tuple(found)
+
+    @property
     def failed_tries(self) -> int:
-        """Number of failed tries."""
-        return self.blocked_pulls + self.wrong_turns
+        """Number of failed ones among `counted_tries`."""
+        return self.blocked_pulls + self.wrong_turns - (len(self.try_sequence) - len(self.counted_tries))
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -144,12 +154,13 @@ class EpisodeRecord:
 def _check_agreement(record: EpisodeRecord, category: str) -> None:
     if category != record.category:
         raise ValueError(f"'category' is {category!r}, but the object is {record.object_id!r}")
-    if record.failed_tries > record.tries or record.tries > record.key_frames:
-        counts = f"{record.failed_tries} failed, {record.tries} tries, {record.key_frames} key frames"
+    failed_in_all = record.blocked_pulls + record.wrong_turns
+    if failed_in_all > record.tries or record.tries > record.key_frames:
+        counts = f"{failed_in_all} failed, {record.tries} tries, {record.key_frames} key frames"
         raise ValueError(f"its counts contradict each other: {counts}")
     failed = [fails for _, _, fails in record.try_sequence]
-    if (len(failed), sum(failed)) != (record.tries, record.failed_tries):
-        counts = f"{sum(failed)} of {len(failed)} failed, where {record.failed_tries} of {record.tries} did"
+    if (len(failed), sum(failed)) != (record.tries, failed_in_all):
+        counts = f"{sum(failed)} of {len(failed)} failed, where {failed_in_all} of {record.tries} did"
         raise ValueError(f"'try_sequence' contradicts its counts: {counts}")
     if (record.first_part is None) != (record.tries == 0):
         raise ValueError(f"'first_part' is {record.first_part!r} after {record.tries} tries")

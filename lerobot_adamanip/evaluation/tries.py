@@ -50,7 +50,7 @@ def failed_at(record: EpisodeRecord) -> list[str]:
     """Returns the cause of each failed try, one of `FAILED_AT`, in order."""
     moved = set[tuple[int, int]]()
     found = []
-    for joint, sign, fails in record.try_sequence:
+    for joint, sign, fails in record.counted_tries:
         if not fails:
             moved.add((joint, sign))
         elif (joint, sign) in moved:
@@ -92,7 +92,7 @@ def recovery(records: Iterable[EpisodeRecord]) -> Recovery:
     repeated, followed = 0, 0
     untried, decided = Counter[int](), Counter[int]()
     for record in records:
-        for failed, latest, tried in _decisions(record.try_sequence):
+        for failed, latest, tried in _decisions(record.counted_tries):
             followed += 1
             repeated += tried == latest
             decided[len(failed)] += 1

@@ -66,7 +66,7 @@ def test_failed_episodes_are_told_by_how_far_they_came() -> None:
         ((PULL, LEFT, RIGHT), [PART_HELD, KEY_HELD, KEY_HELD]),
         ((LEFT, RIGHT, TURNED, LEFT), [KEY_HELD, KEY_HELD, NO_FURTHER]),
         ((TURNED, RIGHT, PULL), [KEY_HELD, PART_HELD]),
-        ((PULLED, PULL, TURNED, LEFT), [NO_FURTHER, NO_FURTHER]),
+        ((PULLED, PULL, TURNED, LEFT), [NO_FURTHER]),
     ],
 )
 def test_a_failed_try_is_told_by_its_joint_and_by_whether_it_had_moved_that_way(
@@ -113,6 +113,16 @@ def test_episodes_are_counted_apart(sequences: list[list[TryMade]]) -> None:
     assert sum(rate.episodes for rate in together.untried.values()) == together.repeated.episodes
     # A repeated try has failed before, so it is nothing new.
     assert sum(rate.count for rate in together.untried.values()) <= together.repeated.episodes - together.repeated.count
+
+
+@given(TRIES)
+def test_what_stalls_after_the_part_has_given_way_is_not_counted(tries: list[TryMade]) -> None:
+    first = next((place for place, (joint, _, fails) in enumerate(tries) if joint == 0 and not fails), len(tries))
+    made = episode(*tries)
+    assert made.counted_tries[:first] == tuple(tries[:first])
+    assert list(made.counted_tries[first:]) == [each for each in tries[first:] if each[0] > 0 or not each[2]]
+    assert made.failed_tries == sum(fails for _, _, fails in made.counted_tries)
+    assert EpisodeRecord.from_json(made.to_json()) == made, "a log keeps all of them"
 
 
 def test_trying_the_locked_door_first_needs_a_lock_the_handle_and_a_failed_pull() -> None:
