@@ -90,7 +90,7 @@ def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     cells = json.loads(done.stdout)["cells"]
     states = {cell["name"]: cell["state"] for cell in cells}
-    assert {states[f"{name}-safe-seen-1000"] for name in ("hold_still", "act", "diffusion")} == {"missing"}
+    assert {states[f"{name}-safe-seen-1000"] for name in ("hold_still", "act", "diffusion_policy")} == {"missing"}
     assert all(cell["reason"] for cell in cells if cell["state"] == "unavailable")
     assert not (tmp_path / "out").exists()
 
@@ -98,7 +98,7 @@ def test_the_command_lists_it_as_one_that_can_be_run(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("code", "message"),
     [
-        ("METHOD = {'title': 'x'}", "ours_too lacks policy"),
+        ("METHOD = {'title': 'x'}", "ours_too needs a policy"),
         ("METHOD = {'title': 'x', 'policy': 'x', 'demonstrations': 'some'}", "demonstrations is 'some'"),
         ("METHOD = 3", "named fields"),
         ("1 / 0", "division by zero"),
