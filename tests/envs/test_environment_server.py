@@ -16,6 +16,7 @@ from documents import blocks
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.episode.options import TIME_LIMIT
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.environment_server import create_adamanip_envs
@@ -39,7 +40,10 @@ def test_a_world_is_served_where_nothing_renders(tmp_path: Path) -> None:
     assert observation["point_cloud"].shape == (192,)
     assert len(np.unique(observation["pixels"]["preview"])) > 20, "a shaded picture, not a black one"
     ends = [env.step(observation["agent_pos"][: schema.ACTION_DIM])[2:] for _ in range(2)]
-    assert ends == [(False, False, {"is_success": False}), (False, True, {"is_success": False})]
+    assert ends == [
+        (False, False, {"is_success": False}),
+        (False, True, {"is_success": False, "limit": TIME_LIMIT}),
+    ]
     env.close()
     (record,) = read_log(log)  # what the server does not pass on: hidden state, tries, outcomes
     assert (record.given_seed, record.key_frames, record.split) == (5, 2, "validation")

@@ -147,7 +147,7 @@ def test_each_ended_episode_is_logged_once(env: KeyframeEnv, tmp_path: Path, mon
     env.step(stay(env))  # stepping on after the end is no second episode
     env.reset(seed=6)
     env.step(stay(env))  # left unfinished
-    monkeypatch.setattr(env, "_max_episode_steps", 2)
+    monkeypatch.setattr(env, "options", env.options.changed(max_key_frames=2))
     env.reset(seed=7)
     for _ in range(2):
         env.step(stay(env))
