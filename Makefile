@@ -77,7 +77,7 @@ bench: pictures  ## measure speed on this machine
 	$(BIN)/adamanip bench
 
 publish: .venv/.simulates  ## publish nine policies, their data and the environments: make publish USER=you [ARGS=--dry-run]
-	$(if $(filter command,$(origin USER)),,$(error whose? make publish USER=you))
+	$(if $(filter command,$(origin USER)),,$(error the user of the Hub is missing: make publish USER=you))
 	$(BIN)/python scripts/publish.py --user "$(USER)" $(ARGS)
 
 demo: setup  ## collect, train and evaluate on a few safes

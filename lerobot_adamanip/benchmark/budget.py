@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Sequence
 
-from lerobot_adamanip.benchmark.command_options import evaluation_options
+from lerobot_adamanip.benchmark.command_options import options_of
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.benchmark.result import CellResult
@@ -71,7 +71,8 @@ def _costs(results: Sequence[CellResult]) -> list[str]:
         )
         for result in results
     ]
-    logs = [tuple(result.trainings.values())[-1] for result in results if result.trainings]
+    last = [name for name, _ in _of_kind(results[0], TRAIN)][-1]
+    logs = [result.trainings[last] for result in results if last in result.trainings]
     if not logs:
         return [f"{sum(paid) / len(paid):.0f}", "-", "-"]
     change = sum(log.change for log in logs) / len(logs)
@@ -82,4 +83,4 @@ def _of_kind(result: CellResult, kind: str) -> Iterator[tuple[str, dict[str, str
     """Yields name and options of a result's steps of a kind."""
     for name, step in result.steps.items():
         if name.partition("_")[0] == kind:
-            yield name, evaluation_options(shlex.split(step.command))
+            yield name, options_of(shlex.split(step.command))

@@ -31,9 +31,14 @@ def expert_command(expert: Iterable[str], evaluation: Iterable[str]) -> list[str
     return ["adamanip", "expert", *expert, *(f"{name}={value}" for name, value in given.items())]
 
 
+def options_of(command: Iterable[str]) -> dict[str, str]:
+    """Returns the options of a command, name -> value."""
+    return {name: value for name, _, value in (word.partition("=") for word in command)}
+
+
 def evaluation_options(command: Sequence[str]) -> dict[str, str]:
     """Returns the options of an evaluation by their names in `lerobot-eval`, name -> value."""
-    given = {name: value for name, _, value in (word.partition("=") for word in command)}
+    given = options_of(command)
     if list(command[:2]) != ["adamanip", "expert"]:
         return given
     found = {name: given[own] for name, own in _OPTIONS.items() if own in given}

@@ -40,13 +40,13 @@ def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run:
     words += ["--categories", "safe", "--name", "tiny", "--json"]
     assert json.loads(run(*words, "--dry-run").stdout)
     assert not hub.repositories
-    told = json.loads(run(*words).stdout)
-    assert [(each["kind"], each["repo_id"]) for each in told] == [
+    printed = json.loads(run(*words).stdout)
+    assert [(each["kind"], each["repo_id"]) for each in printed] == [
         ("dataset", "someone/adamanip-safe"),
         ("model", "someone/tiny-safe"),
         ("environment", "someone/adamanip"),
     ]
-    assert all(each["bytes"] > 0 and each["changed"] for each in told)
+    assert all(each["bytes"] > 0 and each["changed"] for each in printed)
     card = hub.files("models", "someone/tiny-safe")["README.md"].decode()
     for objects in ("seen", "unseen"):
         cell = read_cell(folder / "cells" / f"ours-safe-{objects}-1000.json")
@@ -59,9 +59,9 @@ def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run:
 
 def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert publish.main(["--user", "someone", "--benchmark", str(folder), "--method", "theirs", "--dry-run"]) == 2
-    told = capsys.readouterr().err
-    assert "error: No result of this policy." in told
-    assert "theirs-bottle-seen-1000.json" in told
+    printed = capsys.readouterr().err
+    assert "error: No result of this policy." in printed
+    assert "theirs-bottle-seen-1000.json" in printed
 
 
 def test_a_result_on_a_card_is_that_of_its_file(folder: Path) -> None:
@@ -75,7 +75,7 @@ def test_a_result_on_a_card_is_that_of_its_file(folder: Path) -> None:
 
 
 def test_whose_it_is_must_be_said() -> None:
-    """The login's name, which make knows too, is nobody's on the Hub."""
+    """The environment variable USER, the name of the login, does not count."""
     done = subprocess.run(["make", "-n", "publish"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 2
     assert "make publish USER=you" in done.stderr
