@@ -154,7 +154,8 @@ class Policies:
         from lerobot_policy_adamanip import DP3AdaptiveConfig
 
         meta = LeRobotDatasetMetadata(f"local/{self.root.name}", root=self.root)
-        config = DP3AdaptiveConfig(preset=preset, device=self.device)
+        # One draw: an untrained policy would reject most of its draws, a trained one rejects one of 25 (doors).
+        config = DP3AdaptiveConfig(preset=preset, device=self.device, num_draws=1)
         policy = make_policy(config, ds_meta=meta)
         processors = make_pre_post_processors(config, dataset_stats=meta.stats)
         return policy, *processors, open_dataset(self.root, delta_timestamps=resolve_delta_timestamps(config, meta))

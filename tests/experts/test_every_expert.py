@@ -20,7 +20,7 @@ from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import EXPERT_STRATEGIES, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.contacts import contact_events, goes_back
+from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.tool_frame import motion_between
 
 fast = settings(max_examples=8, deadline=None)
@@ -69,11 +69,10 @@ def test_no_step_is_undone_before_anything_was_tried(category: str, data: st.Dat
     poses = torch.from_numpy(np.stack(felt)).float()[None]
     commands = torch.from_numpy(np.stack([goal.action() for goal in episode.goals]))[None]
     valid = torch.ones(commands.shape[:2], dtype=torch.bool)
-    contact = contact_events(commands, poses, valid)
     for step in range(1, commands.shape[1]):
-        past = (commands[:, :step], poses[:, : step + 1], valid[:, :step])
+        past = Past(commands[:, :step], poses[:, : step + 1], valid[:, :step])
         motion = motion_between(commands[:, step], poses[:, step])[:, None]
-        assert not goes_back(*past, contact[:, :step], motion).any(), (step, episode.phases)
+        assert not past.goes_back(motion).any(), (step, episode.phases)
 
 
 @every_category

@@ -6,14 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from lerobot_policy_adamanip.common.contacts import (
-    ContactMemory,
-    contact_events,
-    goes_back,
-    is_blocked,
-    repeats_failure,
-)
-from lerobot_policy_adamanip.common.events import EVENT_DIM
+from lerobot_policy_adamanip.common.contacts import EVENT_DIM, ContactMemory, Past
 from lerobot_policy_adamanip.common.tool_frame import fingers_swapped, motion_between, pose_after
 
 HOLDING, EMPTY = 0.2, 0.0
@@ -43,7 +36,7 @@ def played(*steps: Step, opening: float = HOLDING) -> Played:
 
 def repeats(past: Played, *motions: Tensor, this_grip: bool = False) -> list[bool]:
     """Returns whether motions would repeat a failure of the past, or one of the present grip."""
-    found = repeats_failure(*past, contact_events(*past), torch.stack(motions)[None], failed_below=0.25)
+    found = Past(*past).repeats(torch.stack(motions)[None], failed_below=0.25)
     return found[this_grip][0].tolist()
 
 
@@ -52,13 +45,13 @@ def repeats(past: Played, *motions: Tensor, this_grip: bool = False) -> list[boo
 
 def test_only_motions_of_a_closed_hand_are_contact_events() -> None:
     past = played((PULL, 0.0), (0.1 * PULL, 1.0), (TURN, 1.0), (OPEN, 1.0), (OPEN, 0.0), (TURN, 0.0))
-    assert contact_events(*past)[0].tolist() == [False, True, False, True, False, False, False]
-    assert not contact_events(*past[:2], torch.zeros_like(past[2])).any()
+    assert Past(*past).contact[0].tolist() == [False, True, False, True, False, False, False]
+    assert not Past(*past[:2], torch.zeros_like(past[2])).contact.any()
 
 
 def test_a_closed_hand_that_holds_nothing_can_only_push() -> None:
     past = played((PULL, 1.0), (TURN, 1.0), (PUSH, 0.0), (-PUSH, 1.0), (0.3 * PUSH, 0.0), opening=EMPTY)
-    assert contact_events(*past)[0].tolist() == [False, False, False, True, False, False]
+    assert Past(*past).contact[0].tolist() == [False, False, False, True, False, False]
 
 
 def test_what_is_no_contact_event_leaves_no_trace_in_the_memory() -> None:
@@ -136,7 +129,7 @@ def approached(*steps: Step) -> Played:
 
 
 def back(past: Played, *motions: Tensor) -> list[bool]:
-    return goes_back(*past, contact_events(*past), torch.stack(motions)[None])[0].tolist()
+    return Past(*past).goes_back(torch.stack(motions)[None])[0].tolist()
 
 
 FORWARD, ASIDE = 4 * PUSH, 2 * PULL
@@ -205,6 +198,6 @@ def test_what_is_held_is_tried_before_it_is_let_go(steps: list[Step], opening: f
 )
 def test_the_way_of_an_open_hand_is_blocked_where_it_hardly_moves(steps: list[Step], expected: bool) -> None:
     past = approached(*steps) if steps else played()
-    assert is_blocked(*past, failed_below=0.25).tolist() == [expected]
-    assert not is_blocked(*past[:2], torch.zeros_like(past[2]), failed_below=0.25).any()
-    assert not is_blocked(*played((FORWARD, 0.0)), failed_below=0.25).any()  # a closed hand tries
+    assert Past(*past).is_blocked(failed_below=0.25).tolist() == [expected]
+    assert not Past(*past[:2], torch.zeros_like(past[2])).is_blocked(failed_below=0.25).any()
+    assert not Past(*played((FORWARD, 0.0))).is_blocked(failed_below=0.25).any()  # a closed hand tries

@@ -8,7 +8,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
-from lerobot_policy_adamanip.common.events import events
+from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.tool_frame import (
     absolute_poses,
     constant,
@@ -88,13 +88,13 @@ def test_what_is_seen_does_not_depend_on_where_everything_stands() -> None:
 
 def test_an_event_tells_what_was_left_undone() -> None:
     poses = _poses(3, 9)[None]
-    reached = events(poses[:, 1:], poses, torch.ones(1, 2, dtype=torch.bool))
+    reached = Past(poses[:, 1:], poses, torch.ones(1, 2, dtype=torch.bool)).events()
     torch.testing.assert_close(reached[0, :, 7:14], torch.zeros(2, 7), rtol=0, atol=0.05)
     assert reached[..., -1].all()
     commands = poses[:, 1:].clone()
     commands[0, 0, 9] += 0.5
     commands[0, 1, :3] += 0.007 * matrix_first_axis(poses[0, 2])
-    stopped = events(commands, poses, torch.ones(1, 2, dtype=torch.bool))
+    stopped = Past(commands, poses, torch.ones(1, 2, dtype=torch.bool)).events()
     torch.testing.assert_close(stopped[0, 0, 13], torch.tensor(0.5), rtol=0, atol=1e-5)
     torch.testing.assert_close(stopped[0, 1, 7:10], torch.tensor([0.7, 0.0, 0.0]), rtol=0, atol=1e-3)
 
@@ -107,12 +107,12 @@ def matrix_first_axis(pose: torch.Tensor) -> torch.Tensor:
 def test_what_was_before_the_start_leaves_no_trace() -> None:
     valid = torch.tensor([[False, False, True]])
     poses, commands = _poses(4, 10)[None], _poses(3, 11)[None]
-    told = events(commands, poses, valid)
+    told = Past(commands, poses, valid).events()
     assert not told[0, :2].any()
     other_poses, other_commands = poses.clone(), commands.clone()
     other_poses[:, :2] += 1.0
     other_commands[:, :2] -= 1.0
-    assert torch.equal(events(other_commands, other_poses, valid), told)
+    assert torch.equal(Past(other_commands, other_poses, valid).events(), told)
 
 
 def test_a_constant_made_at_run_time_can_be_trained_with() -> None:

@@ -11,7 +11,7 @@ from lerobot_adamanip.contract.schema import POSITION_DIMS, ROTATION_DIMS
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
 from lerobot_policy_adamanip.affordance.networks import ConditionalVAE, PlaceFeatures, Score
 from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, decode_grasp, encode_grasp, with_gripper
-from lerobot_policy_adamanip.common.events import EVENT_DIM, events
+from lerobot_policy_adamanip.common.contacts import EVENT_DIM, Past
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
 
 ACTION_NUMBERS = 6 + MOTION_DIM - 1
@@ -100,9 +100,9 @@ class AdaAffordNetwork(nn.Module):
 
     def tokens(self, before: Tensor, command: Tensor, after: Tensor) -> Tensor:
         """Returns tokens (B, H, 22) of interactions: action, result and number, from poses (B, H, 10) each."""
-        # `events` sees each interaction as a history of length one; its last number is validity.
+        # Each interaction is a past of length one; the last number of its event is validity.
         poses, valid = torch.stack([before, after], dim=-2), torch.ones_like(before[..., :1], dtype=torch.bool)
-        happened = events(command.flatten(0, 1)[:, None], poses.flatten(0, 1), valid.flatten(0, 1))
+        happened = Past(command.flatten(0, 1)[:, None], poses.flatten(0, 1), valid.flatten(0, 1)).events()
         happened = happened[:, 0, :-1].unflatten(0, before.shape[:2])  # type: ignore[no-untyped-call]
         number = torch.arange(before.shape[1], device=before.device).expand(before.shape[:2])[..., None] / ORDER_UNIT
         return torch.cat([before[..., ROTATION_DIMS], happened, number.to(before.dtype)], dim=-1)

@@ -8,6 +8,8 @@ motion is not repeated until something has moved, and no step is undone before a
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from functools import cached_property
 
 import torch
 import torch.nn.functional as F
@@ -16,8 +18,8 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
-from lerobot_policy_adamanip.common.events import EVENT_DIM
-from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, constant, motion_between, pose_after
+from lerobot_policy_adamanip.common.losses import surely_none
+from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
@@ -26,24 +28,122 @@ SAME_GOAL_M, SAME_GOAL_RAD = 0.03, 0.5
 """Goals are the same if they are this near [m, rad]; demonstrated approaches are further apart."""
 
 
-def contact_events(commands: Tensor, poses: Tensor, valid: Tensor) -> Tensor:
-    """Returns which key frames are contact events (B, H): the hand is closed before and after, and sent far enough.
+UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
+"""Units of the undone part of a motion [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
+EVENT_RANGE = 3.0
+EVENT_DIM = 2 * MOTION_DIM + 2
 
-    A closed hand that is empty can only push, so only its motion forward counts.
 
-    Args:
+@dataclass(frozen=True)
+class Past:
+    """The past H key frames: what was commanded, how far the arm followed, and what the rules make of it.
+
+    Attributes:
         commands: (B, H, 10) commanded poses, oldest first.
         poses: (B, H + 1, 10) measured tool poses before each command, and the present one.
         valid: (B, H) bool, false before the episode's start.
     """
-    motion = motion_between(commands, poses[:, :-1])
-    shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
-    opening = poses[:, :-1, GRIPPER_DIM]
-    holds = (opening >= EMPTY_HAND) & (opening <= OPEN_HAND)
-    moves = holds & ((shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)) | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
-    closed = commands[..., GRIPPER_DIM] < CLOSED
-    result: Tensor = valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
-    return result
+
+    commands: Tensor
+    poses: Tensor
+    valid: Tensor
+
+    @cached_property
+    def motions(self) -> tuple[Tensor, Tensor]:
+        """Commanded motions (B, H, 7) in the frame of the tool before, and what is left of them in the one after."""
+        ends = torch.stack([self.poses[:, :-1], self.poses[:, 1:]])
+        return motion_between(self.commands, ends).unbind()  # type: ignore[no-untyped-call,return-value]
+
+    @cached_property
+    def contact(self) -> Tensor:
+        """Which key frames are contact events (B, H): the hand is closed before and after, and sent far enough.
+
+        A closed hand that is empty can only push, so only its motion forward counts.
+        """
+        motion = self.motions[0]
+        shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
+        opening = self.poses[:, :-1, GRIPPER_DIM]
+        holds = (opening >= EMPTY_HAND) & (opening <= OPEN_HAND)
+        far = (shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)
+        moves = holds & far | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
+        closed = ~self.opens
+        return self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+
+    @cached_property
+    def opens(self) -> Tensor:
+        """Which commands open the hand or leave it open (B, H)."""
+        return self.commands[..., GRIPPER_DIM] >= CLOSED
+
+    def events(self, *, feedback: bool = True) -> Tensor:
+        """Returns a row (B, H, 16) per key frame, zero where invalid; without ``feedback``, zero for the arm's result.
+
+        A row is the commanded motion, the undone one (each in its units), the reached gripper opening, and validity.
+        """
+        commanded, undone = self.motions
+        reached = self.poses[:, 1:, GRIPPER_DIM:]
+        undone = torch.cat([undone[..., :6], undone[..., 6:] - reached], dim=-1)
+        outcome = torch.cat([undone / constant(UNDONE_UNITS, undone), reached], dim=-1)
+        outcome = outcome if feedback else torch.zeros_like(outcome)
+        commanded = commanded / constant(MOTION_UNITS, commanded)
+        rows = torch.cat([commanded, outcome, torch.ones_like(commanded[..., :1])], dim=-1)
+        return rows.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~self.valid[..., None], 0.0)
+
+    def repeats(self, motions: Tensor, failed_below: float) -> tuple[Tensor, Tensor]:
+        """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, twice (B, K) bool.
+
+        An event failed if less than ``failed_below`` of its motion was done, or if the hand lost its grip. The first
+        result is about failures since something has moved, the second about those of the present grip: since the hand
+        was open, too. Motions are compared in the base frame, whichever way a part is held.
+        """
+        tool, reached = self.poses[:, :-1], self.poses[:, 1:]
+        sent, undone = (_scaled(motion) for motion in self.motions)
+        lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
+        failed = self.contact & (lost | (undone.norm(dim=-1) > (1 - failed_below) * sent.norm(dim=-1)))
+        near = (tool[..., POSITION_DIMS] - self.poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
+        since_moved = failed & near & ~_before(self.contact & ~failed)
+        closed = motions[..., -1] < CLOSED
+        if surely_none(since_moved):
+            return torch.zeros_like(closed), torch.zeros_like(closed)
+        past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), self.poses[:, -1:])
+        same = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1) > SAME_DIRECTION
+        this_grip = since_moved & ~_before(self.valid & self.opens)
+        return (since_moved[..., None] & same).any(dim=1) & closed, (this_grip[..., None] & same).any(dim=1) & closed
+
+    def goes_back(self, motions: Tensor) -> Tensor:
+        """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool.
+
+        An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
+        closed one lets go what it holds, without a contact event.
+        """
+        was_open = self.poses[..., GRIPPER_DIM] > OPEN_HAND
+        went = self.valid & self.opens & was_open[:, :-1] & ~_before(self.valid & ~self.opens)
+        holds = (self.poses[:, -1:, GRIPPER_DIM] >= EMPTY_HAND) & ~was_open[:, -1:] & self.valid[:, -1:]
+        tried = (self.contact & ~_before(self.valid & self.opens)).any(dim=1, keepdim=True)
+        undoes = holds & ~self.opens[:, -1:] & ~tried
+        if not surely_none(went):
+            undoes = undoes | self._sent_before(motions, went) & was_open[:, -1:]
+        return undoes & (motions[..., -1] >= CLOSED)
+
+    def _sent_before(self, motions: Tensor, went: Tensor) -> Tensor:
+        """Returns which motions (B, K, 7) end where a step ``went`` (B, H) that arrived or began where the hand is."""
+        steps, goals = self.commands.shape[1], pose_after(motions, self.poses[:, -1:])
+        places = _places(torch.cat([self.commands, self.poses, goals], dim=1))
+        sent, felt, ends = places[:, :steps], places[:, steps : 2 * steps + 1], places[:, 2 * steps + 1 :]
+        arrived, here = _same(sent, felt[:, 1:]), _same(felt[:, :-1], felt[:, -1:])
+        return (_same(sent[:, :, None], ends[:, None]) & (went & (arrived | here))[..., None]).any(dim=1)
+
+    def is_blocked(self, failed_below: float) -> Tensor:
+        """Returns whether an open hand's way is blocked (B,): it did less than ``failed_below`` of its last motion.
+
+        A retreat, which is the way out, does not count.
+        """
+        last, start, end = self.commands[:, -1], self.poses[:, -2], self.poses[:, -1]
+        sent, undone = (last[:, POSITION_DIMS] - each[:, POSITION_DIMS] for each in (start, end))
+        far = sent.norm(dim=-1).clamp(min=FAR_ENOUGH_DISTANCE)
+        ahead = (sent * matrix_from_6d(start[:, ROTATION_DIMS])[..., 2]).sum(dim=-1)
+        is_open = self.opens[:, -1] & (start[:, GRIPPER_DIM] > OPEN_HAND)
+        stopped = undone.norm(dim=-1) > (1 - failed_below) * far
+        return self.valid[:, -1] & is_open & (ahead > -far / 2) & stopped
 
 
 class ContactMemory(nn.Module):
@@ -56,70 +156,14 @@ class ContactMemory(nn.Module):
         self.cell = nn.GRUCell(dim, dim)
 
     def forward(self, happened: Tensor, contact: Tensor) -> Tensor:
-        """`events` (B, H, 16), `contact_events` (B, H) -> (B, dim); zero without a contact event."""
+        """`Past.events` (B, H, 16), `Past.contact` (B, H) -> (B, dim); zero without a contact event."""
         embedded = self.embedding(happened)
         state = torch.zeros_like(embedded[:, 0])
         for step in range(contact.shape[1]):
+            if surely_none(contact[:, step]):
+                continue
             state = torch.where(contact[:, step, None], self.cell(embedded[:, step], state), state)
         return state
-
-
-def repeats_failure(
-    commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor, *, failed_below: float
-) -> tuple[Tensor, Tensor]:
-    """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, twice (B, K) bool.
-
-    An event failed if less than ``failed_below`` of its motion was done, or if the hand lost its grip. The first result
-    is about failures since something has moved, the second about those of the present grip: since the hand was open,
-    too. Motions are compared in the base frame, whichever way a part is held. ``contact`` comes from `contact_events`,
-    whose arguments the others are.
-    """
-    tool, reached = poses[:, :-1], poses[:, 1:]
-    sent, undone = (_scaled(motion_between(commands, start)) for start in (tool, reached))
-    lost = (tool[..., GRIPPER_DIM] >= EMPTY_HAND) & (reached[..., GRIPPER_DIM] < EMPTY_HAND)
-    failed = contact & (lost | (undone.norm(dim=-1) > (1 - failed_below) * sent.norm(dim=-1)))
-    near = (tool[..., POSITION_DIMS] - poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
-    past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), poses[:, -1:])
-    same = F.cosine_similarity(past[:, :, None], ahead[:, None], dim=-1) > SAME_DIRECTION
-    since_moved = failed & near & ~_before(contact & ~failed)
-    this_grip = since_moved & ~_before(valid & (commands[..., GRIPPER_DIM] >= CLOSED))
-    closed = motions[..., -1] < CLOSED
-    return (since_moved[..., None] & same).any(dim=1) & closed, (this_grip[..., None] & same).any(dim=1) & closed
-
-
-def goes_back(commands: Tensor, poses: Tensor, valid: Tensor, contact: Tensor, motions: Tensor) -> Tensor:
-    """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool.
-
-    An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
-    closed one lets go what it holds, without a contact event. Arguments are as in `repeats_failure`.
-    """
-    opens, was_open = commands[..., GRIPPER_DIM] >= CLOSED, poses[..., GRIPPER_DIM] > OPEN_HAND
-    went = valid & opens & was_open[:, :-1] & ~_before(valid & ~opens)
-    goals = pose_after(motions, poses[:, -1:])
-    places = _places(torch.cat([commands, poses, goals], dim=1))
-    steps = commands.shape[1]
-    sent, felt, ends = places[:, :steps], places[:, steps : 2 * steps + 1], places[:, 2 * steps + 1 :]
-    arrived, here = _same(sent, felt[:, 1:]), _same(felt[:, :-1], felt[:, -1:])
-    same = _same(sent[:, :, None], ends[:, None]) & (went & (arrived | here))[..., None]
-    holds = (poses[:, -1:, GRIPPER_DIM] >= EMPTY_HAND) & ~was_open[:, -1:] & valid[:, -1:] & ~opens[:, -1:]
-    tried = (contact & ~_before(valid & opens)).any(dim=1, keepdim=True)
-    wavers = same.any(dim=1) & was_open[:, -1:]
-    result: Tensor = (wavers | holds & ~tried) & (motions[..., -1] >= CLOSED)
-    return result
-
-
-def is_blocked(commands: Tensor, poses: Tensor, valid: Tensor, *, failed_below: float) -> Tensor:
-    """Returns whether the way of an open hand is blocked (B,): it did less than ``failed_below`` of its last motion.
-
-    A retreat, which is the way out, does not count. Arguments are as in `repeats_failure`.
-    """
-    last, start, end = commands[:, -1], poses[:, -2], poses[:, -1]
-    sent, undone = (last[:, POSITION_DIMS] - each[:, POSITION_DIMS] for each in (start, end))
-    far = sent.norm(dim=-1).clamp(min=FAR_ENOUGH_DISTANCE)
-    ahead = (sent * matrix_from_6d(start[:, ROTATION_DIMS])[..., 2]).sum(dim=-1)
-    is_open = (last[:, GRIPPER_DIM] >= CLOSED) & (start[:, GRIPPER_DIM] > OPEN_HAND)
-    result: Tensor = valid[:, -1] & is_open & (ahead > -far / 2) & (undone.norm(dim=-1) > (1 - failed_below) * far)
-    return result
 
 
 def _places(poses: Tensor) -> Tensor:

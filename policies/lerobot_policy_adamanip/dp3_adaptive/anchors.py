@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.schema import ACTION_DIM, STATE
 from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
-from lerobot_policy_adamanip.common.contacts import ContactMemory
+from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.common.encoders import make_encoder
 from lerobot_policy_adamanip.dp3_adaptive.approach import refine, refinement_loss
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
@@ -26,9 +26,9 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import instruct
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
-    Past,
     body_dim,
     body_inputs,
+    off_a_blocked_way,
     past_of,
     point_inputs,
     tool_of,
@@ -51,7 +51,7 @@ class MemoryOfChoices(nn.Module):
         nn.init.zeros_(self.logits.bias)
 
     def forward(self, features: Tensor, happened: Tensor, contact: Tensor) -> Tensor:
-        """Features (B, W), which get no gradient, `events` (B, H, 16), `contact_events` (B, H) -> (B, K)."""
+        """Features (B, W), which get no gradient, `Past.events` (B, H, 16), `Past.contact` (B, H) -> (B, K)."""
         added: Tensor = self.logits(self.hidden(torch.cat([features.detach(), self.events(happened, contact)], dim=-1)))
         return added * contact.any(dim=1, keepdim=True)
 
@@ -168,8 +168,7 @@ class AnchorHead:
             rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
         assert result is not None
         if added is not None and self.config.avoid_repeats:
-            blocked = past.is_blocked(self.config.failed_below)
-            result = torch.where(blocked[:, None], past.retreat(), result)
+            return off_a_blocked_way(self.config, past, result[:, None])
         return result[:, None]
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:
@@ -185,7 +184,7 @@ def _allowed(probabilities: Tensor, rejected: Tensor, useless: Tensor, opens: Te
     """Returns the probabilities (B, K) of what may be drawn; their sum is 1.
 
     That is what is not rejected; if it is less probable than ``least``, what is not useless with the present grip; if
-    that is improbable too, what opens the hand, (K,) bool. Rejected and useless (B, K) are as in `repeats_failure`.
+    that is improbable too, what opens the hand, (K,) bool. Rejected and useless (B, K) are as in `Past.repeats`.
     """
     new, other = probabilities.masked_fill(rejected, 0.0), probabilities.masked_fill(useless, 0.0)
     likely = [part.sum(dim=-1, keepdim=True) >= least for part in (new, other)]

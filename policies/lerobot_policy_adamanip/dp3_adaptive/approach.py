@@ -7,7 +7,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD, ROTATION_DIMS
 from lerobot_policy_adamanip.common import tool_frame
-from lerobot_policy_adamanip.common.losses import valid_rows
+from lerobot_policy_adamanip.common.losses import surely_none, valid_rows
 from lerobot_policy_adamanip.common.torch_rotations import angle_between
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.motions import TypicalMotions
@@ -33,7 +33,7 @@ def refine(
     An approach cannot be used if there is nothing to hold at its end.
     """
     usable = torch.ones_like(needed)
-    if refiner is None or (needed.device.type == "cpu" and not needed.any()):
+    if refiner is None or surely_none(needed):
         return pose, usable
     rows = _rows_to_refine(needed)
     cloud, start = window.observations[POINT_CLOUD][rows, -1], pose[rows]
@@ -50,13 +50,10 @@ def _less_turned(refined: Tensor, chosen: Tensor, tool: Tensor) -> Tensor:
     The turn is measured against the chosen pose, which is seldom wrong by more than a quarter turn, and against the
     hand: half a turn more is often out of the arm's reach.
     """
-
-    def turn(pose: Tensor) -> Tensor:
-        rotation = pose[:, ROTATION_DIMS]
-        return angle_between(rotation, chosen[:, ROTATION_DIMS]) + angle_between(rotation, tool[:, ROTATION_DIMS])
-
     swapped = tool_frame.fingers_swapped(refined)
-    return torch.where((turn(swapped) < turn(refined))[:, None], swapped, refined)
+    grasps, others = torch.stack([refined, swapped])[:, None], torch.stack([chosen, tool])
+    turn, turn_swapped = angle_between(grasps[..., ROTATION_DIMS], others[..., ROTATION_DIMS]).sum(dim=1)
+    return torch.where((turn_swapped < turn)[:, None], swapped, refined)
 
 
 def _rows_to_refine(needed: Tensor) -> Tensor:

@@ -11,7 +11,7 @@ from torch import Tensor
 from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS, STATE
 from lerobot_policy_adamanip.affordance.plans import with_gripper
 from lerobot_policy_adamanip.common import tool_frame
-from lerobot_policy_adamanip.common.contacts import ContactMemory
+from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.dp3_adaptive.approach import refine, refinement_loss
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.diffusion import Denoiser, DiffusionHead
@@ -20,9 +20,9 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import instruct
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
-    Past,
     body_dim,
     body_inputs,
+    off_a_blocked_way,
     past_of,
     point_inputs,
     tool_of,
@@ -64,14 +64,14 @@ class ToolDiffusionHead(DiffusionHead):
         parts = {"denoising_loss": error.detach().mean(), "refinement_loss": refinement.detach().mean()}
         return error + refinement, weight, parts
 
-    def condition(self, model: ToolDenoiser, window: Window) -> Tensor:
+    def condition(self, model: ToolDenoiser, window: Window, past: Past | None = None) -> Tensor:
         """Returns the conditioning vector (B, C); its part of the memory is zero without a contact event."""
         parts = [
             model.encoder(point_inputs(self.config, window, training=model.training)),
             body_inputs(self.config, window),
         ]
         if model.memory is not None:
-            past = past_of(window)
+            past = past or past_of(window)
             parts.append(model.memory(past.events(feedback=self.config.use_feedback), past.contact))
         return torch.cat(parts, dim=-1)
 
@@ -96,7 +96,8 @@ class ToolDiffusionHead(DiffusionHead):
         A chunk whose first action leads to nothing is drawn again, up to ``num_draws`` times. If all do, the first one
         counts; but if all are useless with the present grip, the hand lets go. A hand whose way is blocked backs off.
         """
-        condition, past = self.condition(model, window), past_of(window)
+        past = past_of(window)
+        condition = self.condition(model, window, past)
         chunks, usable, useless = self._draw(model, window, condition, past, noise)
         for _ in range(self.config.num_draws - 1):
             if bool(usable.all()):
@@ -109,7 +110,7 @@ class ToolDiffusionHead(DiffusionHead):
         chunks = torch.where(useless[:, None, None], released, chunks)
         if model.memory is None or not self.config.avoid_repeats:
             return chunks
-        return torch.where(past.is_blocked(self.config.failed_below)[:, None, None], past.retreat()[:, None], chunks)
+        return off_a_blocked_way(self.config, past, chunks)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, past: Past, noise: Tensor | None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, STATE
 from lerobot_policy_adamanip.affordance.plans import backed_off, with_gripper
 from lerobot_policy_adamanip.common import tool_frame
-from lerobot_policy_adamanip.common.contacts import contact_events, goes_back, is_blocked, repeats_failure
-from lerobot_policy_adamanip.common.events import events
+from lerobot_policy_adamanip.common.contacts import Past
+from lerobot_policy_adamanip.common.losses import surely_none
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
 from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
@@ -24,49 +22,19 @@ EFFORT_UNIT = 20.0
 """Unit of joint torques [N m]."""
 
 
-@dataclass(frozen=True)
-class Past:
-    """The past actions of a window, with H steps.
-
-    Attributes:
-        commands: (B, H, 10) poses, oldest first.
-        poses: (B, H + 1, 10) measured before each, and the present one.
-        valid: (B, H) bool, false before the episode's start.
-        contact: (B, H) bool, see `contact_events`.
-    """
-
-    commands: Tensor
-    poses: Tensor
-    valid: Tensor
-    contact: Tensor
-
-    def events(self, *, feedback: bool) -> Tensor:
-        """Returns `events` (B, H, 16)."""
-        return events(self.commands, self.poses, self.valid, feedback=feedback)
-
-    def repeats(self, motions: Tensor, failed_below: float) -> tuple[Tensor, Tensor]:
-        """Returns which motions (B, K, 7) would repeat a failure, or one of this grip: `repeats_failure`."""
-        past = (self.commands, self.poses, self.valid, self.contact)
-        return repeats_failure(*past, motions, failed_below=failed_below)
-
-    def goes_back(self, motions: Tensor) -> Tensor:
-        """Returns which motions (B, K, 7) undo a step before anything was tried: `goes_back`."""
-        return goes_back(self.commands, self.poses, self.valid, self.contact, motions)
-
-    def is_blocked(self, failed_below: float) -> Tensor:
-        """Returns whether the way of an open hand is blocked (B,): `is_blocked`."""
-        return is_blocked(self.commands, self.poses, self.valid, failed_below=failed_below)
-
-    def retreat(self) -> Tensor:
-        """Returns the poses (B, 10) of an open hand that backs off from the present one."""
-        return backed_off(with_gripper(self.poses[:, -1], 1.0))
-
-
 def past_of(window: Window) -> Past:
     """Returns the past of a window whose states and actions are poses without normalisation."""
     commands = window.history.float()
     poses = window.observations[STATE][:, -commands.shape[1] - 1 :, :ACTION_DIM].float()
-    return Past(commands, poses, window.valid, contact_events(commands, poses, window.valid))
+    return Past(commands, poses, window.valid)
+
+
+def off_a_blocked_way(config: DP3AdaptiveConfig, past: Past, actions: Tensor) -> Tensor:
+    """Returns actions (B, T, 10); an open hand whose way is blocked backs off from the present pose instead."""
+    blocked = past.is_blocked(config.failed_below)
+    if surely_none(blocked):
+        return actions
+    return torch.where(blocked[:, None, None], backed_off(with_gripper(past.poses[:, -1], 1.0))[:, None], actions)
 
 
 def tool_of(window: Window) -> Tensor:

@@ -14,7 +14,7 @@ from lerobot.processor.converters import batch_to_transition, transition_to_batc
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.events import events
+from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import (
     INSTRUCTION,
     INSTRUCTION_DIM,
@@ -113,8 +113,8 @@ def test_without_feedback_a_memory_holds_commands_alone() -> None:
     other = poses.clone()
     other[:, -1, :3] += 0.02  # the arm went elsewhere than it was sent
     valid = torch.ones(2, 3, dtype=torch.bool)
-    same = [events(commands, each, valid, feedback=False) for each in (poses, other)]
-    felt = [events(commands, each, valid) for each in (poses, other)]
+    same = [Past(commands, each, valid).events(feedback=False) for each in (poses, other)]
+    felt = [Past(commands, each, valid).events() for each in (poses, other)]
     assert torch.equal(*same)
     assert not torch.equal(*felt)
     assert same[0].shape == felt[0].shape
