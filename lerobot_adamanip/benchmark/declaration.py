@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from importlib.metadata import EntryPoint, entry_points
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -31,8 +30,6 @@ from lerobot_adamanip.util.json_fields import (
 
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """Default declaration."""
-METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
-"""Entry point group for methods of other packages; each one loads the content of a table ``[methods.NAME]``."""
 OBJECT_SPLITS = ("seen", "unseen", "novel")
 NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
 _OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _, or an empty text")
@@ -174,11 +171,21 @@ class TrialsCurve:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Effect:
+    """A single change: two methods that differ in it alone, compared in the same scenes."""
+
+    title: Annotated[str, TITLE]
+    method: Annotated[str, NAME]
+    without: Annotated[str, NAME]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Declaration:
     """A benchmark.
 
     Attributes:
         reference: method that all others are compared with.
+        effects: changes whose effect the report shows.
         scales, demonstrations, methods: by name, in the order of the declaration.
         trials: the trials curve; None without one.
     """
@@ -188,6 +195,7 @@ class Declaration:
     demonstrations: Annotated[Mapping[str, Demonstrations], mapping(NAME, record(Demonstrations), 60)]
     methods: Annotated[Mapping[str, Method], mapping(NAME, record(Method), 200)]
     trials: Annotated[TrialsCurve | None, optional(record(TrialsCurve))] = None
+    effects: Annotated[tuple[Effect, ...], listing(record(Effect), 0, 40)] = ()
 
     def scale(self, name: str) -> Scale:
         """Returns a scale by name; raises `ConfigurationError` if it does not exist."""
@@ -221,7 +229,10 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     made = record(Declaration)("the declaration", content)
     _require("reference", made.reference, made.methods)
     for name, method in made.methods.items():
-        _check_method(made, name, method)
+        check_method(made, name, method)
+    for each in made.effects:
+        _require("effects.method", each.method, made.methods)
+        _require("effects.without", each.without, made.methods)
     if (curve := made.trials) is not None:
         _require("trials.method", curve.method, made.methods)
         _require("trials.none", curve.none, made.demonstrations)
@@ -245,31 +256,8 @@ def _with_defaults(methods: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def with_packages(declaration: Declaration) -> Declaration:
-    """Returns a declaration with the methods of installed packages added; raises `ConfigurationError`."""
-    points = sorted(entry_points(group=METHODS_GROUP))
-    declared = {point.name: _declared_by(point, declaration) for point in points}
-    return replace(declaration, methods={**declaration.methods, **declared})
-
-
-def _declared_by(point: EntryPoint, declaration: Declaration) -> Method:
-    package = point.dist.name if point.dist is not None else point.module
-    try:
-        if point.name in declaration.methods:
-            raise ValueError("the declaration has a method of that name")
-        method = record(Method)(point.name, point.load())
-        _check_method(declaration, point.name, method)
-    except Exception as error:  # importing another package may raise any exception
-        raise ConfigurationError(
-            f"The benchmark method {point.name!r} cannot be used.",
-            got=f"{point.value} of {package}: {error}",
-            allowed="a table like [methods.NAME], see docs/extending_policy.md",
-            hint=f"repair {package}, or uninstall it",
-        ) from error
-    return replace(method, package=package)
-
-
-def _check_method(made: Declaration, name: str, method: Method) -> None:
+def check_method(made: Declaration, name: str, method: Method) -> None:
+    """Raises ValueError if a method names what the declaration lacks, or contradicts itself."""
     _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
     if bool(method.policy) == bool(method.expert) or (method.expert and (method.demonstrations or method.data_of)):
         raise ValueError(f"methods.{name} needs a policy, or an expert without demonstrations")

@@ -8,7 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Method
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect, Method
 from lerobot_adamanip.benchmark.plan import options_key
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepCost
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -67,7 +67,7 @@ class BenchmarkReport:
     Attributes:
         scale: name of the scale.
         note, beside_paper: see `Scale`.
-        reference: method that the others are compared with.
+        reference, effects: see `Declaration`.
         rows: methods, declared ones first.
         categories, splits: in table order.
         trials: numbers of failed trials in the curve, in order.
@@ -82,6 +82,7 @@ class BenchmarkReport:
     note: str
     beside_paper: bool
     reference: str
+    effects: tuple[Effect, ...]
     rows: tuple[Row, ...]
     categories: tuple[str, ...]
     splits: tuple[str, ...]
@@ -144,22 +145,19 @@ class BenchmarkReport:
         first, second = (pool(each).success for each in both)
         return difference(first, second)
 
-    def paired(self, method: str, categories: Sequence[str], objects: str, min_outcome: str) -> PairedDifference | None:
-        """Returns the reference's share of scenes with at least an outcome minus a method's, in the same scenes.
+    def paired(
+        self, methods: tuple[str, str], categories: Sequence[str], objects: str, min_outcome: str
+    ) -> PairedDifference | None:
+        """Returns the first method's share of scenes with at least an outcome minus the second's, in the same scenes.
 
-        Uses the trainings that both have in all categories; None if there are none, or if their scenes differ.
-
-        Args:
-            method: name of the method.
-            categories: categories to pool.
-            objects: split of objects.
-            min_outcome: see `paired_difference`.
+        Uses the trainings that both have in all of these categories, with objects of one split; None if there are none,
+        or if their scenes differ. Outcomes: see `paired_difference`.
         """
         table = [each for each in self.results if each.cell.objects == objects and each.cell.trials is None]
         found = {(each.cell.method, each.cell.category, each.cell.seed): each for each in table if each.outcomes}
         pairs = {}
         for seed in sorted({seed for _, _, seed in found}):
-            both = [[found.get((name, each, seed)) for name in (self.reference, method)] for each in categories]
+            both = [[found.get((name, each, seed)) for name in methods] for each in categories]
             if all(one and other and self.scenes_of(one) == self.scenes_of(other) for one, other in both):
                 pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
         lengths = {len(first) for each in pairs.values() for first, _ in each}
@@ -242,6 +240,7 @@ def make_report(
         note=declared.note,
         beside_paper=declared.beside_paper,
         reference=declaration.reference,
+        effects=declaration.effects,
         rows=tuple(_rows(declaration.methods_of(scale), declared.beside_paper, results)),
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),

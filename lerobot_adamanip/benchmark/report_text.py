@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
-import itertools
 import operator
 from collections.abc import Iterator
 
 from lerobot_adamanip.benchmark.budget import budget_table
+from lerobot_adamanip.benchmark.paired_text import (
+    difference_text,
+    effects_table,
+    method_name,
+    paired_table,
+    title_of,
+)
 from lerobot_adamanip.benchmark.paper_rates import (
     PAPER_OBJECTS,
     SUCCESS_BY_TRIALS,
@@ -17,9 +23,8 @@ from lerobot_adamanip.benchmark.paper_rates import (
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry, Row
 from lerobot_adamanip.benchmark.run import WORDS
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
-from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.provenance import machine_text
-from lerobot_adamanip.evaluation.rates import Difference, Rate
+from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 _PAPER = f"the paper, {PAPER_OBJECTS}"
@@ -62,7 +67,7 @@ def summary(report: BenchmarkReport) -> str:
             seen = [report.entry(row.name, category, "seen") for category in report.categories]
             trainings = min(len(entry.seeds) for entry in seen if entry is not None)
             shares = ("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)
-            rows.append([_name(row), *shares, str(trainings)])
+            rows.append([method_name(row), *shares, str(trainings)])
     others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
     titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
@@ -77,9 +82,11 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     if len(report.categories) > 1:
         yield "Mean success", _means(report)
     yield "Success by category", _success(report)
-    yield f"{_title(report, report.reference)} less the others, in points", _differences(report)
-    if paired := _paired(report):
+    yield f"{title_of(report, report.reference)} less the others, in points", _differences(report)
+    if paired := paired_table(report):
         yield "In the same scenes", paired
+    if effects := effects_table(report):
+        yield "Single changes", effects
     if report.trials:
         yield "Success against failed trials in the demonstrations", _trials(report)
     yield "Success within a number of key frames", _budgets(report)
@@ -100,10 +107,10 @@ def _extent(report: BenchmarkReport) -> str:
     if len({(report.scenes_of(result)[0], result.scenes) for result in report.results}) > 1:
         lines.append("Mind: several fingerprints or splits of scenes; do not compare numbers of different ones.")
     if report.missing:
-        without = [_name(row) for row in report.rows if row not in report.rows_with_results]
+        without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {', '.join(without)}." if without else ""
         lines.append(f"Declared and not run: {counted(len(report.missing), 'cell')}.{methods}")
-    lines += [f"- {_title(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
+    lines += [f"- {title_of(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
     return "\n".join(lines) + "\n"
 
 
@@ -119,7 +126,7 @@ def _means(report: BenchmarkReport) -> str:
         within = report.mean(row.name, report.splits[0], operator.attrgetter("within_best_tries"))
         paper = reported_mean(row.paper, report.categories)
         shares = ("-" if share is None else f"{share:.1f} %" for share in (within and 100 * within, paper))
-        rows.append([_name(row), *cells, *shares])
+        rows.append([method_name(row), *cells, *shares])
     titles = ["method", *_objects(report), f"{METRICS['within_best_tries'].title}, {report.splits[0]}", _PAPER]
     kept = [number for number, title in enumerate(titles) if title != _PAPER or report.beside_paper]
     kept = [number for number in kept if number <= len(report.splits) or any(row[number] != "-" for row in rows)]
@@ -133,7 +140,7 @@ def _success(report: BenchmarkReport) -> str:
             cells = [_cell(report, row, category, objects) for objects in report.splits]
             paper = reported(row.paper, category)
             shown = "-" if paper is None else "{:.1f} ± {:.1f}".format(*paper)
-            rows.append([words(category), _name(row), *cells, *[shown] * report.beside_paper])
+            rows.append([words(category), method_name(row), *cells, *[shown] * report.beside_paper])
     titles = ["category", "method", *_objects(report), *[_PAPER] * report.beside_paper]
     return markdown_table(titles, rows)
 
@@ -153,44 +160,15 @@ def _mark(entry: Entry) -> str:
 
 def _differences(report: BenchmarkReport) -> str:
     rows = [
-        [_name(row), *(_difference(report.to_reference(row.name, report.categories, each)) for each in report.splits)]
+        [
+            method_name(row),
+            *(difference_text(report.to_reference(row.name, report.categories, each)) for each in report.splits),
+        ]
         for row in report.rows_with_results
         if row.name != report.reference
     ]
     explanation = "Over all episodes, with 95 % intervals that do not pair the scenes."
     return f"{markdown_table(['method', *_objects(report)], rows)}\n\n{explanation}"
-
-
-def _difference(gap: Difference | PairedDifference | None) -> str:
-    if gap is None:
-        return "-"
-    return f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
-
-
-def _paired(report: BenchmarkReport) -> str:
-    """Returns a table of the paired differences to the reference; empty without outcomes of scenes."""
-    rows = []
-    others = [row for row in report.rows_with_results if row.name != report.reference]
-    for row, objects, where in itertools.product(others, report.splits, ("all", *report.categories)):
-        pooled = report.categories if where == "all" else (where,)
-        gaps = [report.paired(row.name, pooled, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
-        cells = [text for gap in gaps if gap is not None for text in (_difference(gap), _by_training(gap))]
-        if cells:
-            rows.append([_name(row), f"{words(where)}, {objects}", *cells])
-    if not rows:
-        return ""
-    within = METRICS["within_best_tries"].title
-    titles = ["method", "category, objects", "opened", "by training", within, "by training"]
-    explanation = (
-        f"{_title(report, report.reference)} less each method in the same scenes, in points: mean over scenes and "
-        "trainings, with a 95 % interval over scenes. The interval excludes the spread between trainings; the next "
-        "column shows each training's difference. Intervals are not corrected for the number of comparisons."
-    )
-    return f"{markdown_table(titles, rows)}\n\n{explanation}"
-
-
-def _by_training(gap: PairedDifference) -> str:
-    return ", ".join(f"{100 * each:+.0f}" for each in gap.by_training.values())
 
 
 def _trials(report: BenchmarkReport) -> str:
@@ -215,7 +193,9 @@ def _budgets(report: BenchmarkReport) -> str:
         for objects in report.splits:
             means = [report.mean(row.name, objects, operator.methodcaller("opened_within", each)) for each in BUDGETS]
             if means[-1] is not None:
-                rows.append([_name(row), objects, *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)])
+                rows.append(
+                    [method_name(row), objects, *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)]
+                )
     if not rows:
         return "No method has results of all categories yet."
     return markdown_table(["mean over the categories", "objects", *map(str, BUDGETS)], rows)
@@ -228,7 +208,7 @@ def _tries(report: BenchmarkReport) -> str:
             metrics = pool(found)
             new_after_one = (metrics.untried or {}).get(1)
             shares = [_share(each) for each in (metrics.repeated, new_after_one)]
-            rows.append([_name(row), metrics.show("wasted_tries"), *shares])
+            rows.append([method_name(row), metrics.show("wasted_tries"), *shares])
     titles = ["method", "wasted tries", "failed tries repeated", "something new after a failed try"]
     explanation = (
         "Over all categories and objects. Wasted tries are the failed tries per success minus those of the best "
@@ -246,7 +226,7 @@ def _tries_by_category(report: BenchmarkReport) -> str:
                 entry = report.entry(row.name, category, objects)
                 if entry is not None and entry.numbers.within_best_tries is not None:
                     numbers = [entry.numbers.show(name) for name in _TRIES]
-                    rows.append([f"{words(category)}, {objects}", _name(row), *numbers])
+                    rows.append([f"{words(category)}, {objects}", method_name(row), *numbers])
     titles = ["category, objects", "method", *(METRICS[name].title for name in _TRIES)]
     return f"\n\n{markdown_table(titles, rows)}" if rows else ""
 
@@ -275,11 +255,3 @@ def _costs(report: BenchmarkReport) -> str:
 
 def _objects(report: BenchmarkReport) -> list[str]:
     return [f"{objects} objects" for objects in report.splits]
-
-
-def _name(row: Row) -> str:
-    return f"{row.title} ({row.package})" if row.package else row.title
-
-
-def _title(report: BenchmarkReport, method: str) -> str:
-    return next((row.title for row in report.rows if row.name == method), method)

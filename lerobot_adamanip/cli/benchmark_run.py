@@ -13,8 +13,9 @@ from dataclasses import asdict
 from typing import Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
+from lerobot_adamanip.benchmark.packages import with_packages
 from lerobot_adamanip.benchmark.plan import NUMBERS, Code
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.benchmark.report import make_report

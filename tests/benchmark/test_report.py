@@ -29,11 +29,12 @@ TRIALS = {
     "method": "ours", "numbers": [0, 1, 2], "none": "static", "categories": ["bottle"], "splits": ["seen"],
     "scales": [SCALE],
 }  # fmt: skip
+EFFECTS = [{"title": "demonstrations", "method": "ours", "without": "ours_on_static"}]
 
 
 def wide() -> Declaration:
     scale = {**content()["scales"][SCALE], "categories": ["bottle", "safe"], "seeds": [1, 2]}
-    return declared(scales={SCALE: scale}, trials=TRIALS)
+    return declared(scales={SCALE: scale}, trials=TRIALS, effects=EFFECTS)
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +130,7 @@ def test_differences_are_those_of_the_rates(cells: Path) -> None:
 
 def test_the_same_scenes_are_compared(cells: Path) -> None:
     report = report_of(cells)
-    gap = report.paired("ours_on_static", ("bottle", "safe"), "seen", "1")
+    gap = report.paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1")
     assert gap is not None
     both = [report.numbers(name, ("bottle", "safe"), ("seen",)) for name in ("ours", "ours_on_static")]
     first, second = (pool(each).success for each in both)
@@ -140,9 +141,19 @@ def test_the_same_scenes_are_compared(cells: Path) -> None:
     assert len(rows["Ours on static", "safe, unseen"][1].split(", ")) == 2, "one number a training"
 
 
+def test_single_changes_are_shown_over_the_categories_that_both_have(cells: Path) -> None:
+    shown = rows_of(benchmark_page(report_of(cells)), "Single changes")["demonstrations", "all, seen"]
+    assert shown == rows_of(benchmark_page(report_of(cells)), "In the same scenes")["Ours on static", "all, seen"]
+    for seed in (1, 2):
+        (cells / f"ours-safe-seen-{seed}.json").unlink()
+    page = benchmark_page(report_of(cells))
+    one = rows_of(page, "Single changes")["demonstrations", "bottle, seen"]
+    assert one == rows_of(page, "In the same scenes")["Ours on static", "bottle, seen"]
+
+
 def test_trainings_and_scenes_that_both_have_are_compared(cells: Path) -> None:
     (cells / "ours-safe-seen-2.json").unlink()
-    gap = report_of(cells).paired("ours_on_static", ("bottle", "safe"), "seen", "1")
+    gap = report_of(cells).paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1")
     assert gap is not None
     assert tuple(gap.by_training) == (1,)
     path = cells / "ours-safe-seen-1.json"
@@ -151,10 +162,10 @@ def test_trainings_and_scenes_that_both_have_are_compared(cells: Path) -> None:
     poses = StepDone(key=step.key, command=f"{step.command} --env.poses=fixed")
     for changes in ({"scene_seeds": (0, 4)}, {"fingerprint": "e" * 16}, {"steps": {**result.steps, "evaluate": poses}}):
         write_cell(path, dataclasses.replace(result, **changes))
-        assert report_of(cells).paired("ours_on_static", ("bottle", "safe"), "seen", "1") is None
+        assert report_of(cells).paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1") is None
     write_cell(path, dataclasses.replace(result, fingerprint="e" * 16))
     equal = report_of(cells, present={"e" * 16, result.fingerprint})
-    assert equal.paired("ours_on_static", ("bottle", "safe"), "seen", "1") == gap
+    assert equal.paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1") == gap
     for each in cells.iterdir():
         write_cell(each, dataclasses.replace(read_cell(each), outcomes=""))
     assert "In the same scenes" not in benchmark_page(report_of(cells))

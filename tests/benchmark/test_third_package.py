@@ -14,7 +14,8 @@ import pytest
 from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, declared
 
 from lerobot_adamanip.benchmark.cells import select_cells
-from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER_TABLE, with_packages
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
+from lerobot_adamanip.benchmark.packages import METHODS_GROUP, with_packages
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells

@@ -1,0 +1,71 @@
+"""Tables of paired differences in a report, and the names of its methods."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+
+from lerobot_adamanip.benchmark.report import BenchmarkReport, Row
+from lerobot_adamanip.evaluation.metrics import METRICS
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
+from lerobot_adamanip.evaluation.rates import Difference
+from lerobot_adamanip.evaluation.text_format import markdown_table, words
+
+_GAPS = ("opened", "by training", METRICS["within_best_tries"].title, "by training")
+_PAIRED_LEGEND = (
+    "in points: mean over scenes and trainings, with a 95 % interval over scenes. The interval excludes the spread "
+    "between trainings; the next column shows each training's difference. Intervals are not corrected for the number "
+    "of comparisons."
+)
+
+
+def paired_table(report: BenchmarkReport) -> str:
+    """Returns a table of the paired differences to the reference; empty without outcomes of scenes."""
+    rows = []
+    others = [row for row in report.rows_with_results if row.name != report.reference]
+    for row, objects, where in itertools.product(others, report.splits, ("all", *report.categories)):
+        pooled = report.categories if where == "all" else (where,)
+        if cells := _gaps(report, (report.reference, row.name), pooled, objects):
+            rows.append([method_name(row), f"{words(where)}, {objects}", *cells])
+    explanation = f"{title_of(report, report.reference)} less each method in the same scenes, {_PAIRED_LEGEND}"
+    return f"{markdown_table(['method', 'category, objects', *_GAPS], rows)}\n\n{explanation}" if rows else ""
+
+
+def effects_table(report: BenchmarkReport) -> str:
+    """Returns a table of the declared effects, over the categories in which both methods have results."""
+    rows = []
+    for effect, objects in itertools.product(report.effects, report.splits):
+        both = (effect.method, effect.without)
+        shared = [each for each in report.categories if all(report.entry(name, each, objects) for name in both)]
+        if cells := _gaps(report, both, shared, objects):
+            where = "all" if len(shared) == len(report.categories) else ", ".join(map(words, shared))
+            rows.append([effect.title, f"{where}, {objects}", *cells])
+    explanation = f"With it less without it in the same scenes, {_PAIRED_LEGEND}"
+    return f"{markdown_table(['what differs', 'where', *_GAPS], rows)}\n\n{explanation}" if rows else ""
+
+
+def _gaps(report: BenchmarkReport, methods: tuple[str, str], categories: Sequence[str], objects: str) -> list[str]:
+    """Returns the cells of `_GAPS`; none without results of both methods."""
+    gaps = [report.paired(methods, categories, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
+    return [text for gap in gaps if gap is not None for text in (difference_text(gap), _by_training(gap))]
+
+
+def _by_training(gap: PairedDifference) -> str:
+    return ", ".join(f"{100 * each:+.0f}" for each in gap.by_training.values())
+
+
+def difference_text(gap: Difference | PairedDifference | None) -> str:
+    """Returns a difference in points with its interval; ``-`` for None."""
+    if gap is None:
+        return "-"
+    return f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+
+
+def method_name(row: Row) -> str:
+    """Returns a method's title, with the package that declares it."""
+    return f"{row.title} ({row.package})" if row.package else row.title
+
+
+def title_of(report: BenchmarkReport, method: str) -> str:
+    """Returns the title of a method by name."""
+    return next((row.title for row in report.rows if row.name == method), method)
