@@ -55,7 +55,8 @@ def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcom
 
     Equal seeds of several evaluations (categories) count as one scene, because they draw similar poses and hidden
     states. The interval is Student's t with one added scene for either policy (Bonett and Price 2012, for proportions),
-    so it does not collapse where the policies agree.
+    so it does not collapse where the policies agree. With C evaluations an added scene counts 1 / sqrt(C), the standard
+    deviation of a mean over C independent ones; a whole scene would hide every small difference.
 
     Args:
         pairs: training seed -> outcomes of both policies in some evaluations, all of the same length.
@@ -68,7 +69,8 @@ def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcom
         for seed, each in pairs.items()
     }
     scenes = np.mean(list(gaps.values()), axis=0)
-    interval = stats.ttest_1samp([*scenes, 1.0, -1.0], 0.0).confidence_interval()
+    added = max(map(len, pairs.values())) ** -0.5
+    interval = stats.ttest_1samp([*scenes, added, -added], 0.0).confidence_interval()
     by_training = {seed: float(gap.mean()) for seed, gap in gaps.items()}
     low, high = max(-1.0, float(interval.low)), min(1.0, float(interval.high))
     return PairedDifference(float(scenes.mean()), low, high, by_training)

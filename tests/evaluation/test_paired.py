@@ -40,14 +40,15 @@ def test_scenes_that_both_open_do_not_widen_it() -> None:
     assert paired.low > 0 > difference(rate(60, 100), rate(50, 100)).low
 
 
+@pytest.mark.parametrize("categories", [1, 9])
 @pytest.mark.parametrize(("first_alone", "second_alone"), [(0.2, 0.05), (0.02, 0.01), (0.1, 0.1)])
-def test_its_interval_covers_the_truth(first_alone: float, second_alone: float) -> None:
+def test_its_interval_covers_the_truth(first_alone: float, second_alone: float, categories: int) -> None:
     generator, true, covered = np.random.default_rng(0), first_alone - second_alone, 0
     shares = [0.5, first_alone, second_alone, 0.5 - first_alone - second_alone]
     for _ in range(400):
-        scenes = generator.choice(4, size=100, p=shares)  # opened by both, the first, the second, none
-        first, second = ("".join("2" if each in by else "0" for each in scenes) for by in ((0, 1), (0, 2)))
-        found = paired_difference({1: [(first, second)]}, OPENED)
+        scenes = generator.choice(4, size=(categories, 100), p=shares)  # opened by both, the first, the second, none
+        texts = [np.where(np.isin(scenes, by), "2", "0") for by in ((0, 1), (0, 2))]
+        found = paired_difference({1: [("".join(a), "".join(b)) for a, b in zip(*texts, strict=True)]}, OPENED)
         covered += found.low <= true <= found.high
     assert covered / 400 > 0.92
 
@@ -63,5 +64,12 @@ def test_equal_seeds_of_several_categories_are_one_scene() -> None:
     apart = paired_difference({1: [("2200", "2000"), ("1111", "0000")]}, OPENED)
     assert apart.difference == 5 / 8
     assert apart.by_training == {1: 5 / 8}
-    twice = paired_difference({1: [("2200", "2000"), ("2200", "2000")]}, OPENED)
-    assert twice == paired_difference({1: [("2200", "2000")]}, OPENED)
+    once, twice = (paired_difference({1: [("2200", "2000")] * count}, OPENED) for count in (1, 2))
+    assert twice.by_training == once.by_training
+    assert once.low < twice.low < twice.high < once.high
+
+
+def test_a_small_difference_over_many_categories_is_seen() -> None:
+    """Each category has other scenes in which the first policy alone succeeds, two of a hundred."""
+    second = ["2" * (98 - 10 * each) + "00" + "2" * (10 * each) for each in range(9)]
+    assert paired_difference({1: [("2" * 100, each) for each in second]}, OPENED).low > 0
