@@ -8,6 +8,7 @@ from __future__ import annotations
 import ast
 import dataclasses
 import inspect
+import re
 import sys
 import textwrap
 from collections.abc import Iterator
@@ -83,7 +84,9 @@ def _section(name: str) -> str:
             positional.append(folders.get(option.kind, option.name.upper()))
             rows.append((f"`{positional[-1]}`", _default(command, option), option.text))
         else:
-            rows.append((f"`--{option.name.replace('_', '-')}`", _default(command, option), option.text))
+            renamed = re.search(r"arg\(name='([\w-]+)'\)", option.kind)  # by tyro
+            name_shown = renamed[1] if renamed else option.name.replace("_", "-")
+            rows.append((f"`--{name_shown}`", _default(command, option), option.text))
     usage = " ".join(["adamanip", name, *positional, "[OPTIONS]"])
     summary = COMMANDS[name].help[0].upper() + COMMANDS[name].help[1:]
     return f"## {name}\n\n{summary}.\n\n```text\n{usage}\n```\n\n{_table(rows)}\n"

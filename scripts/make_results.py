@@ -30,7 +30,7 @@ SCALES = ("test", "paper", "cpu", "overfit")
 """Order of the scales on the page; others follow."""
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
-![Success by method and category, with intervals](images/benchmark_success.png)
+![Success by method and category, with intervals, scale test](images/benchmark_success.png)
 """
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"

@@ -1,4 +1,4 @@
-"""Draws benchmark_success.png, benchmark_trials.png and benchmark_tries.png, of results/benchmark alone."""
+"""Draws the pictures benchmark_*.png, of results/benchmark alone."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
-SHOWN: Mapping[str, tuple[str, str]] = {
-    "success": ("paper_table.toml", "cpu"),
-    "trials": ("paper_table.toml", "cpu"),
-    "tries": ("default_policy.toml", "test"),
+SHOWN: Mapping[str, tuple[str, str, str]] = {
+    "methods": ("success", "paper_table.toml", "cpu"),
+    "trials": ("trials", "paper_table.toml", "cpu"),
+    "success": ("success", "default_policy.toml", "test"),
+    "tries": ("tries", "default_policy.toml", "test"),
 }
-"""Picture -> declaration and scale."""
+"""Name -> plot of a report, declaration and scale."""
 WIDTH = 1500
 
 
 def main(here: Path) -> None:
     """Writes the pictures into a folder."""
-    for name, (declared, scale) in SHOWN.items():
+    for name, (plot, declared, scale) in SHOWN.items():
         results = read_cells(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
         declaration = read_declaration(PAPER_TABLE.with_name(declared))
         report = make_report(results, declaration, scale, present_fingerprints())
         with tempfile.TemporaryDirectory() as folder:
             pictures = {path.stem: path for path in plot_report(report, Path(folder))}
-            picture = Image.open(pictures[name]).convert("RGB")
+            picture = Image.open(pictures[plot]).convert("RGB")
             picture.thumbnail((WIDTH, WIDTH), Image.Resampling.LANCZOS)
             picture.quantize(128).save(here / f"benchmark_{name}.png", optimize=True)
 

@@ -172,11 +172,12 @@ class TrialsCurve:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """A single change: two methods that differ in it alone, compared in the same scenes."""
+    """A change: two methods, with it and without it, compared in the same scenes of some categories (none: all)."""
 
     title: Annotated[str, TITLE]
     method: Annotated[str, NAME]
     without: Annotated[str, NAME]
+    categories: Annotated[tuple[str, ...], listing(choice(tuple(CATEGORIES)), 0, len(CATEGORIES))] = ()
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect, Method
 from lerobot_adamanip.benchmark.plan import options_key
-from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepCost
+from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
@@ -119,18 +119,30 @@ class BenchmarkReport:
         there = {place[2] for place in self.entries if place[1] is None}
         return tuple(category for category in self.categories if category in there)
 
+    def whole_trainings(self, method: str, objects: str) -> dict[str, list[CellResult]]:
+        """Returns category -> results of the trainings that have all categories; empty if there are none."""
+        places = {
+            (each.cell.category, each.cell.seed): each for each in self.results if self._is_of(each, method, objects)
+        }
+        seeds = [
+            seed for seed in sorted({seed for _, seed in places}) if all((c, seed) in places for c in self.categories)
+        ]
+        return {category: [places[category, seed] for seed in seeds] for category in self.categories if seeds}
+
+    @staticmethod
+    def _is_of(result: CellResult, method: str, objects: str) -> bool:
+        return (result.cell.method, result.cell.objects, result.cell.trials) == (method, objects, None)
+
     def mean(
         self, method: str, objects: str, share: Callable[[Metrics], Rate | None] = lambda numbers: numbers.success
     ) -> float | None:
-        """Returns the mean of a method's rates over the categories, equally weighted; None if one is missing.
+        """Returns the mean of a method's rates over the categories, equally weighted, of its `whole_trainings`.
 
-        Args:
-            method: name of the method.
-            objects: split of objects.
-            share: metrics -> rate; by default the success.
+        ``share`` takes metrics to a rate, by default the success. None without such a training, or without a rate.
         """
-        rates = [share(each) for each in self.numbers(method, self.categories, (objects,))]
-        if len(rates) < len(self.categories) or None in rates:
+        found = self.whole_trainings(method, objects).values()
+        rates = [share(pool(each.numbers for each in results)) for results in found]
+        if not rates or None in rates:
             return None
         return sum(each.rate or 0.0 for each in rates if each is not None) / len(rates)
 
@@ -175,32 +187,19 @@ class BenchmarkReport:
 
         The mean over the categories, equally weighted; empty if one is missing, or for results of earlier versions.
         """
-        found: dict[str, list[int]] = {}
-        for each in self.results:
-            if (each.cell.method, each.cell.objects, each.cell.trials) == (method, objects, None):
-                scenes = zip(each.outcomes, each.failed_tries, strict=False)
-                tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
-                found.setdefault(each.cell.category, []).extend(tries)
-        if not all(found.get(category) for category in self.categories):
-            return []
-        numbers = range(MAX_COUNTED_TRIES)
-        shares = [
-            [sum(each <= number for each in tries) / len(tries) for number in numbers] for tries in found.values()
-        ]
+        shares = []
+        for results in self.whole_trainings(method, objects).values():
+            scenes = [pair for each in results for pair in zip(each.outcomes, each.failed_tries, strict=False)]
+            tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
+            if not tries:
+                return []
+            shares.append([sum(each <= number for each in tries) / len(tries) for number in range(MAX_COUNTED_TRIES)])
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
     def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
         """Returns the available metrics of a method in these categories and splits of objects."""
         places = itertools.product(categories, splits)
         return [found.numbers for place in places if (found := self.entry(method, *place)) is not None]
-
-    def costs(self) -> dict[str, list[StepCost]]:
-        """Returns kind of step -> costs; a step that several cells share appears once."""
-        found: dict[str, dict[str, StepCost]] = {}
-        for result in self.results:
-            for name, cost in result.costs.items():
-                found.setdefault(name.partition("_")[0], {})[result.steps[name].key] = cost
-        return {kind: list(costs.values()) for kind, costs in found.items()}
 
     def csv_rows(self) -> Iterator[tuple[dict[str, object], Metrics]]:
         """Yields labels and metrics of each entry, for `csv_table`."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import operator
 from collections.abc import Iterator
 
@@ -21,6 +22,7 @@ from lerobot_adamanip.benchmark.paper_rates import (
     reported_mean,
 )
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry, Row
+from lerobot_adamanip.benchmark.result import StepCost
 from lerobot_adamanip.benchmark.run import WORDS
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
@@ -32,8 +34,8 @@ NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
     "Successes, episodes and Wilson's 95 % interval, pooled over all trainings of a method. The interval does not "
-    "include the spread between trainings. A mean weights all categories equally and needs each of them. The CSV file "
-    "beside this page has all metrics, also by hidden value."
+    "include the spread between trainings. A mean weights all categories equally, and is of the trainings that have "
+    "all of them. The CSV file beside this page has all metrics, also by hidden value."
 )
 _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
@@ -64,14 +66,16 @@ def summary(report: BenchmarkReport) -> str:
         means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", within)]
         means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
         if means[0] is not None:
-            seen = [report.entry(row.name, category, "seen") for category in report.categories]
-            trainings = min(len(entry.seeds) for entry in seen if entry is not None)
+            trainings = len(next(iter(report.whole_trainings(row.name, "seen").values())))
             shares = ("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)
             rows.append([method_name(row), *shares, str(trainings)])
     others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
     titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
-    explanation = f"Means over {len(report.categories)} categories, {number} each, {report.scenes} scenes."
+    explanation = (
+        f"Means over {len(report.categories)} categories, {number} of each and training, {report.scenes} scenes, over "
+        "the trainings that have all categories."
+    )
     return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
 
 
@@ -86,7 +90,7 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     if paired := paired_table(report):
         yield "In the same scenes", paired
     if effects := effects_table(report):
-        yield "Single changes", effects
+        yield "Effects of changes", effects
     if report.trials:
         yield "Success against failed trials in the demonstrations", _trials(report)
     yield "Success within a number of key frames", _budgets(report)
@@ -108,7 +112,7 @@ def _extent(report: BenchmarkReport) -> str:
         lines.append("Mind: several fingerprints or splits of scenes; do not compare numbers of different ones.")
     if report.missing:
         without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
-        methods = f" No result of: {', '.join(without)}." if without else ""
+        methods = f" No result of: {'; '.join(without)}." if without else ""
         lines.append(f"Declared and not run: {counted(len(report.missing), 'cell')}.{methods}")
     lines += [f"- {title_of(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
     return "\n".join(lines) + "\n"
@@ -203,16 +207,16 @@ def _budgets(report: BenchmarkReport) -> str:
 
 def _tries(report: BenchmarkReport) -> str:
     rows = []
-    for row in report.rows:
-        if found := report.numbers(row.name, report.categories, report.splits):
+    for row, objects in itertools.product(report.rows, report.splits):
+        if found := report.numbers(row.name, report.categories, (objects,)):
             metrics = pool(found)
             new_after_one = (metrics.untried or {}).get(1)
             shares = [_share(each) for each in (metrics.repeated, new_after_one)]
-            rows.append([method_name(row), metrics.show("wasted_tries"), *shares])
-    titles = ["method", "wasted tries", "failed tries repeated", "something new after a failed try"]
+            rows.append([method_name(row), objects, str(len(found)), metrics.show("wasted_tries"), *shares])
+    titles = ["method", "objects", "categories", "wasted tries", "failed tries repeated", "new after a failed try"]
     explanation = (
-        "Over all categories and objects. Wasted tries are the failed tries per success minus those of the best "
-        "strategy that cannot see the hidden state either."
+        "Wasted tries are the failed tries per success minus those of the best strategy that cannot see the hidden "
+        "state either."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}{_tries_by_category(report)}"
 
@@ -236,13 +240,16 @@ def _share(share: Rate | None) -> str:
 
 
 def _costs(report: BenchmarkReport) -> str:
-    costs = report.costs()
+    costs: dict[str, dict[str, StepCost]] = {}  # a step that several cells share appears once
+    for result in report.results:
+        for name, cost in result.costs.items():
+            costs.setdefault(name.partition("_")[0], {})[result.steps[name].key] = cost
     lines = [
-        f"- {WORDS[kind]}: {duration_text(sum(each.seconds for each in found))}, {counted(len(found), 'time')}"
+        f"- {WORDS[kind]}: {duration_text(sum(each.seconds for each in found.values()))}, {counted(len(found), 'time')}"
         for kind, found in costs.items()
     ]
     machines = sorted(
-        (each.machine for found in costs.values() for each in found), key=lambda m: (m["cores"], m["gpu"])
+        (each.machine for found in costs.values() for each in found.values()), key=lambda m: (m["cores"], m["gpu"])
     )
     lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
     commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in report.results}

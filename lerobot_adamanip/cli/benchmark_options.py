@@ -16,8 +16,9 @@ class BenchmarkOptions:
     """Options of a benchmark; see `lerobot_adamanip.cli.benchmark.Benchmark`."""
 
     scale: str | None = None
-    """Size of the benchmark. smoke: a short test of every step. cpu: for two cores. full: for a GPU. Default: cpu, if
-    options such as --methods or --categories select some of its cells."""
+    """Size of the benchmark. smoke: a short test of every step. overfit: one bottle in one place. cpu: for two cores.
+    paper: one pose of object, arm and camera, as in the paper. full: for a GPU. Default: cpu, if options such as
+    --methods or --categories select some of its cells."""
 
     config: Path | None = None
     """TOML file that declares methods, demonstrations and scales. Default: the paper's table."""
