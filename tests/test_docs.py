@@ -139,13 +139,24 @@ def test_what_python_imports_of_ours_is_there() -> None:
                     assert hasattr(module, each.name) or importlib.import_module(f"{node.module}.{each.name}"), block
 
 
+def anchors(path: Path) -> set[str]:
+    """Anchors of a page: of its headings, as GitHub spells them, and of its elements with an id."""
+    text = re.sub(r"^```.*?^```", "", path.read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    headings = [re.sub(r"\[(.*?)\]\(.*?\)", r"\1", title) for title in re.findall(r"^#+ (.*)$", text, re.MULTILINE)]
+    named = re.findall(r'id="([^"]+)"', text)
+    return {re.sub(r"[^\w\- ]", "", title.lower()).strip().replace(" ", "-") for title in headings} | set(named)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS)
 def test_links_exist_and_no_path_of_a_machine_is_named(document: str) -> None:
     path = ROOT / document
     text = path.read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", text):
-        if not target.startswith(("http://", "https://", "#")):
-            assert (path.parent / target.partition("#")[0]).exists(), target
+        if not target.startswith(("http://", "https://")):
+            file, _, anchor = target.partition("#")
+            there = path.parent / file if file else path
+            assert there.exists(), target
+            assert not anchor or there.suffix != ".md" or anchor in anchors(there), target
     assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
 
 
