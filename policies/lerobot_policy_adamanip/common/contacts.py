@@ -52,7 +52,7 @@ class Past:
     def motions(self) -> tuple[Tensor, Tensor]:
         """Commanded motions (B, H, 7) in the frame of the tool before, and what is left of them in the one after."""
         ends = torch.stack([self.poses[:, :-1], self.poses[:, 1:]])
-        return motion_between(self.commands, ends).unbind()  # type: ignore[no-untyped-call,return-value]
+        return motion_between(self.commands, ends).unbind()  # type: ignore[return-value]
 
     @cached_property
     def contact(self) -> Tensor:
@@ -67,7 +67,8 @@ class Past:
         far = (shift > FAR_ENOUGH_DISTANCE) | (turn > FAR_ENOUGH_ANGLE)
         moves = holds & far | (motion[..., 2] > FAR_ENOUGH_DISTANCE)
         closed = ~self.opens
-        return self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+        result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+        return result
 
     @cached_property
     def opens(self) -> Tensor:
@@ -143,7 +144,8 @@ class Past:
         ahead = (sent * matrix_from_6d(start[:, ROTATION_DIMS])[..., 2]).sum(dim=-1)
         is_open = self.opens[:, -1] & (start[:, GRIPPER_DIM] > OPEN_HAND)
         stopped = undone.norm(dim=-1) > (1 - failed_below) * far
-        return self.valid[:, -1] & is_open & (ahead > -far / 2) & stopped
+        result: Tensor = self.valid[:, -1] & is_open & (ahead > -far / 2) & stopped
+        return result
 
 
 class ContactMemory(nn.Module):
