@@ -67,7 +67,7 @@ def _table(result: ResultFile) -> str:
     return (
         f"{result.title} ({scenes}, {seeds}):\n\n{markdown_table(titles, rows)}\n\n"
         f"Command: `{result.command}`; commit {result.commit or 'of a released version'}; version {result.version}; "
-        f"fingerprint `{result.fingerprint}`."
+        f"fingerprint `{result.fingerprint}`. Options are spelled as there, and later code may give other numbers."
     )
 
 
