@@ -223,10 +223,9 @@ def make_report(
 
     Args:
         results: of any cells, declared or not.
-        declaration: the benchmark.
-        scale: name of the scale.
+        declaration, scale: the benchmark, and the name of its scale.
         present: fingerprints of the present code.
-        unavailable: method -> why it cannot run here; empty if not checked.
+        unavailable: see `BenchmarkReport`.
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
     declared, cells = declaration.scale(scale), all_cells(declaration, scale)

@@ -143,10 +143,7 @@ def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: p
     from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
 
     mine = tmp_path / "mine.toml"
-    text = (
-        PAPER_TABLE.read_text().replace("[methods.dp3_on_adaptive]", "[methods.mine]").replace("[trials]", "[trials_]")
-    )
-    mine.write_text(text.partition("[trials_]")[0])
+    mine.write_text(PAPER_TABLE.read_text().replace("dp3_on_adaptive", "mine").partition("[trials]")[0])
     assert main(["benchmark", "--config", str(mine), "--scale", "smoke", "--methods", "mine", "--list", "--json"]) == 0
     assert [cell["method"] for cell in json.loads(capsys.readouterr().out)["cells"]] == ["mine", "mine"]
     assert runner.called == []
