@@ -223,15 +223,15 @@ def make_report(
 
     Args:
         results: of any cells, declared or not.
-        declaration, scale: the benchmark, and the name of its scale.
+        declaration: the benchmark.
+        scale: name of the scale.
         present: fingerprints of the present code.
         unavailable: see `BenchmarkReport`.
         stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
     """
-    declared, cells = declaration.scale(scale), all_cells(declaration, scale)
+    declared, cells, there = declaration.scale(scale), all_cells(declaration, scale), {each.cell for each in results}
     other_options = _with_other_options(results, declaration, scale)
     other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
-    there = {result.cell for result in results}
     places = [_place(cell) for cell in (*cells, *there)]
     return BenchmarkReport(
         scale=scale,
