@@ -38,17 +38,17 @@ def test_it_has_the_sections_that_lerobot_wants_in_their_order() -> None:
 
 
 def test_tasks_have_the_counts_of_the_categories() -> None:
-    told = rows("Available tasks")
+    listed = rows("Available tasks")
     seen = {name: CATEGORIES[name].seen for name in PAPER_CATEGORIES}
     for name, count in seen.items():
-        assert told[f"adamanip_{name}"][-1] == str(count)
-    assert told["adamanip"][-1] == str(sum(seen.values()))
+        assert listed[f"adamanip_{name}"][-1] == str(count)
+    assert listed["adamanip"][-1] == str(sum(seen.values()))
 
 
 def test_results_are_those_of_the_result_file() -> None:
-    told, (commit,) = rows("Reproducing results"), re.findall(r"commit `(\w+)`", PAGE)
+    shown, (commit,) = rows("Reproducing results"), re.findall(r"commit `(\w+)`", PAGE)
     for name in PAPER_CATEGORIES:
-        for cell, objects in zip(told[f"adamanip_{name}"], ("seen", "unseen", "novel"), strict=True):
+        for cell, objects in zip(shown[f"adamanip_{name}"], ("seen", "unseen", "novel"), strict=True):
             result = read_cell(ROOT / "results" / "benchmark" / "test" / f"corrected-{name}-{objects}-1000.json")
             assert str(result.commit).startswith(commit)
             keys = success_summary(result.numbers.success)

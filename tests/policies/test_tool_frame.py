@@ -107,12 +107,12 @@ def matrix_first_axis(pose: torch.Tensor) -> torch.Tensor:
 def test_what_was_before_the_start_leaves_no_trace() -> None:
     valid = torch.tensor([[False, False, True]])
     poses, commands = _poses(4, 10)[None], _poses(3, 11)[None]
-    told = Past(commands, poses, valid).events()
-    assert not told[0, :2].any()
+    rows = Past(commands, poses, valid).events()
+    assert not rows[0, :2].any()
     other_poses, other_commands = poses.clone(), commands.clone()
     other_poses[:, :2] += 1.0
     other_commands[:, :2] -= 1.0
-    assert torch.equal(Past(other_commands, other_poses, valid).events(), told)
+    assert torch.equal(Past(other_commands, other_poses, valid).events(), rows)
 
 
 def test_a_constant_made_at_run_time_can_be_trained_with() -> None:

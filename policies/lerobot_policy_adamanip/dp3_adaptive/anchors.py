@@ -26,9 +26,9 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import instruct
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
+    back_off_if_blocked,
     body_dim,
     body_inputs,
-    off_a_blocked_way,
     past_of,
     point_inputs,
     tool_of,
@@ -168,7 +168,7 @@ class AnchorHead:
             rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
         assert result is not None
         if added is not None and self.config.avoid_repeats:
-            return off_a_blocked_way(self.config, past, result[:, None])
+            return back_off_if_blocked(self.config, past, result[:, None])
         return result[:, None]
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:

@@ -20,9 +20,9 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import instruct
 from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
 from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import (
     POINT_DIM,
+    back_off_if_blocked,
     body_dim,
     body_inputs,
-    off_a_blocked_way,
     past_of,
     point_inputs,
     tool_of,
@@ -110,7 +110,7 @@ class ToolDiffusionHead(DiffusionHead):
         chunks = torch.where(useless[:, None, None], released, chunks)
         if model.memory is None or not self.config.avoid_repeats:
             return chunks
-        return off_a_blocked_way(self.config, past, chunks)
+        return back_off_if_blocked(self.config, past, chunks)
 
     def _draw(
         self, model: ToolDenoiser, window: Window, condition: Tensor, past: Past, noise: Tensor | None

@@ -29,7 +29,7 @@ def past_of(window: Window) -> Past:
     return Past(commands, poses, window.valid)
 
 
-def off_a_blocked_way(config: DP3AdaptiveConfig, past: Past, actions: Tensor) -> Tensor:
+def back_off_if_blocked(config: DP3AdaptiveConfig, past: Past, actions: Tensor) -> Tensor:
     """Returns actions (B, T, 10); an open hand whose way is blocked backs off from the present pose instead."""
     blocked = past.is_blocked(config.failed_below)
     if surely_none(blocked):
