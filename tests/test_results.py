@@ -263,4 +263,4 @@ def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> N
     assert re.search(r"^\| safe \| dp3_adaptive \(anchors\) \| \d/5: \d+ % \[.*\] ‡ \|", page, re.MULTILINE), (
         "of other options"
     )
-    assert "| bottle | dp3_adaptive (anchors) | not run | not run | 95.1 ± 9.7 |" in page
+    assert "| bottle | dp3_adaptive (anchors) |" not in page, "a row without a result is left out"

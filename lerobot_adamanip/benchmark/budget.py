@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import shlex
+import statistics
 from collections.abc import Iterator, Sequence
 
 from lerobot_adamanip.benchmark.command_options import options_of
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.benchmark.result import CellResult
+from lerobot_adamanip.benchmark.training_log import TrainingLog
 from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.evaluation.text_format import counted, markdown_table
 
@@ -28,6 +30,23 @@ def budget_table(report: BenchmarkReport) -> str:
         if trained := [each for each in results if TRAIN in each.steps]:
             rows.append([row.title, _data(trained), _steps(trained[0]), *_costs(trained)])
     return f"{markdown_table(TITLES, rows)}\n\n{_EXPLANATION}" if rows else ""
+
+
+def mean_losses(report: BenchmarkReport, method: str) -> list[float]:
+    """Returns the loss in equal parts of a method's last training, as a share of its first value.
+
+    The geometric mean over the trainings of its cells; empty without a log.
+    """
+    logs = _last_trainings([each for each in report.results if each.cell.method == method and each.cell.trials is None])
+    shares = [[loss / log.losses[0] for loss in log.losses] for log in logs if min(log.losses) > 0]
+    return [statistics.geometric_mean(part) for part in zip(*shares, strict=True)]
+
+
+def _last_trainings(results: Sequence[CellResult]) -> list[TrainingLog]:
+    """Returns the logs of the last training of each result that has one."""
+    names = [[name for name, _ in _of_kind(result, TRAIN)][-1:] for result in results]
+    both = zip(results, names, strict=True)
+    return [result.trainings[last] for result, found in both for last in found if last in result.trainings]
 
 
 def _data(results: Sequence[CellResult]) -> str:
@@ -71,8 +90,7 @@ def _costs(results: Sequence[CellResult]) -> list[str]:
         )
         for result in results
     ]
-    last = [name for name, _ in _of_kind(results[0], TRAIN)][-1]
-    logs = [result.trainings[last] for result in results if last in result.trainings]
+    logs = _last_trainings(results)
     if not logs:
         return [f"{sum(paid) / len(paid):.0f}", "-", "-"]
     change = sum(log.change for log in logs) / len(logs)

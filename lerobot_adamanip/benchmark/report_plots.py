@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.benchmark.budget import mean_losses
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
 from lerobot_adamanip.benchmark.report import FEW_KEY_FRAMES, BenchmarkReport, Row
 from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, heights_and_errors, new_figure, save_figure
@@ -21,7 +22,24 @@ def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
     paths = [_plot_success(report, folder)] if report.categories_with_results else []
     paths += [_plot_trials(report, folder)] if report.curves else []
     curves = {row: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
-    return paths + ([_plot_tries(report, curves, folder)] if any(curves.values()) else [])
+    paths += [_plot_tries(report, curves, folder)] if any(curves.values()) else []
+    losses = {row: mean_losses(report, row.name) for row in report.rows_with_results}
+    return paths + ([_plot_losses(losses, folder)] if any(losses.values()) else [])
+
+
+def _plot_losses(losses: Mapping[Row, list[float]], folder: Path) -> Path:
+    """Draws the training loss of each method over its last training."""
+    figure = new_figure(6.5, 4.0)
+    axes = figure.subplots()
+    for row, values in losses.items():
+        if values:
+            done = [100 * (number + 1) / len(values) for number in range(len(values))]
+            axes.plot(done, values, label=row.title)
+    axes.set(xlabel="share of the training [%]", ylabel="training loss / loss at the start", yscale="log")
+    axes.legend(frameon=False, fontsize=7)
+    path = folder / "losses.png"
+    save_figure(figure, "Training loss, geometric mean over categories", path)
+    return path
 
 
 def _plot_tries(report: BenchmarkReport, curves: Mapping[Row, list[float]], folder: Path) -> Path:

@@ -113,7 +113,9 @@ def _extent(report: BenchmarkReport) -> str:
     if report.missing:
         without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {'; '.join(without)}." if without else ""
-        lines.append(f"Declared and not run: {counted(len(report.missing), 'cell')}.{methods}")
+        lines.append(
+            f"Declared and not run: {counted(len(report.missing), 'cell')}; rows without a result are left out.{methods}"
+        )
     lines += [f"- {title_of(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
     return "\n".join(lines) + "\n"
 
@@ -130,7 +132,8 @@ def _means(report: BenchmarkReport) -> str:
         within = report.mean(row.name, report.splits[0], operator.attrgetter("within_best_tries"))
         paper = reported_mean(row.paper, report.categories)
         shares = ("-" if share is None else f"{share:.1f} %" for share in (within and 100 * within, paper))
-        rows.append([method_name(row), *cells, *shares])
+        if set(cells) != {"-"}:
+            rows.append([method_name(row), *cells, *shares])
     titles = ["method", *_objects(report), f"{METRICS['within_best_tries'].title}, {report.splits[0]}", _PAPER]
     kept = [number for number, title in enumerate(titles) if title != _PAPER or report.beside_paper]
     kept = [number for number in kept if number <= len(report.splits) or any(row[number] != "-" for row in rows)]
@@ -144,7 +147,8 @@ def _success(report: BenchmarkReport) -> str:
             cells = [_cell(report, row, category, objects) for objects in report.splits]
             paper = reported(row.paper, category)
             shown = "-" if paper is None else "{:.1f} ± {:.1f}".format(*paper)
-            rows.append([words(category), method_name(row), *cells, *[shown] * report.beside_paper])
+            if set(cells) != {NOT_RUN}:
+                rows.append([words(category), method_name(row), *cells, *[shown] * report.beside_paper])
     titles = ["category", "method", *_objects(report), *[_PAPER] * report.beside_paper]
     return markdown_table(titles, rows)
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from benchmark_helpers import SCALE, FakeRunner, benchmark, declared, run_all
 
-from lerobot_adamanip.benchmark.budget import budget_table
+from lerobot_adamanip.benchmark.budget import budget_table, mean_losses
 from lerobot_adamanip.benchmark.report import make_report
+from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.training_log import LOGGED, TrainingLog, read_training_log
 
 LINE = (
@@ -45,7 +46,7 @@ def test_the_budget_counts_what_a_method_was_given(tmp_path: Path) -> None:
     }  # fmt: skip
     declaration = declared(methods=methods)
     results = [each.result for each in run_all(benchmark(tmp_path, FakeRunner(tmp_path), declaration)) if each.result]
-    log = TrainingLog(parameters=2_500_000, losses=(1.0,) * (LOGGED - 4) + (0.9,) * 4)
+    log = TrainingLog(parameters=2_500_000, losses=(2.0,) * (LOGGED - 4) + (1.8,) * 4)
     cost = {"seconds": 120.0, "machine": {"cores": 2, "gpu": False}}
     results = [
         dataclasses.replace(
@@ -55,7 +56,11 @@ def test_the_budget_counts_what_a_method_was_given(tmp_path: Path) -> None:
         )
         for each in results
     ]
-    table = budget_table(make_report(results, declaration, SCALE, ()))
+    report = make_report(results, declaration, SCALE, ())
+    assert mean_losses(report, "ours") == pytest.approx([1.0] * (LOGGED - 4) + [0.9] * 4), "of the loss at the start"
+    assert mean_losses(report, "untrained") == []
+    assert "losses.png" in {path.name for path in plot_report(report, tmp_path)}
+    table = budget_table(report)
     (row,) = (line for line in table.splitlines() if line.startswith("| Ours"))
     cells = [each.strip() for each in row.strip("|").split("|")]
     assert cells[1] == "6 adaptive demonstrations, 6 corrections"  # 5 of two objects, rounded up
