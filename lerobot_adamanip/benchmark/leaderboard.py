@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import itertools
+import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
+from lerobot_adamanip.benchmark.command_options import options_of
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
+from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
+from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepDone
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
 from lerobot_adamanip.evaluation.rates import Rate
@@ -14,9 +17,11 @@ from lerobot_adamanip.evaluation.text_format import counted, markdown_table
 
 EPISODES = 100
 """Number of episodes of each category and split of objects."""
+SCENES = (700000, 700099)
+"""First and last seed of the scenes."""
 FIXED: Mapping[str, str] = {
     "--env.split": "test",
-    "--seed": "700000",
+    "--seed": str(SCENES[0]),
     "--env.poses": "randomized",
     "--env.mechanism_rules": "paper",
 }
@@ -28,6 +33,7 @@ makes them, with a declaration of your method and a scale like `test` of
 - all nine categories on seen, unseen and novel objects, with each training seed, {EPISODES} episodes each;
 - `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and of the other
   options of the environment only objects, num_points, image_size, observe_images and episode_log;
+- a policy that was trained, on demonstrations of seen objects alone;
 - a commit without changes, and the present simulator and mechanisms: an entry leaves the page when these change.
 
 Choose your method on validation scenes, and run the test scenes once.
@@ -68,12 +74,21 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
         yield f"{', '.join(others)} must keep the default"
     if numbers.success.episodes != EPISODES or numbers.within_best_tries is None:
         yield f"{counted(numbers.success.episodes, 'episode')}, not {EPISODES}, or without their tries"
+    if result.scene_seeds != SCENES:
+        yield f"scenes {result.scene_seeds[0]} to {result.scene_seeds[1]}, not {SCENES[0]} to {SCENES[1]}"
+    recorded = [options_of(shlex.split(step.command)).get("--objects") for step in _recordings(result)]
+    if TRAIN not in result.steps or set(recorded) != {"seen"}:
+        yield "without a training on demonstrations of seen objects"
     if cell.trials is not None:
         yield "part of a curve over trials"
     if result.changed or result.commit is None:
         yield "made from a commit with changes, or from none"
     if result.fingerprint not in present:
         yield "made with another simulator or other mechanisms than the present ones"
+
+
+def _recordings(result: CellResult) -> Iterator[StepDone]:
+    return (step for name, step in result.steps.items() if name.partition("_")[0] in (COLLECT, CORRECT))
 
 
 def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:

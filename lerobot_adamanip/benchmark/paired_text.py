@@ -8,14 +8,14 @@ from collections.abc import Sequence
 from lerobot_adamanip.benchmark.report import BenchmarkReport, Row
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
-from lerobot_adamanip.evaluation.rates import Difference
 from lerobot_adamanip.evaluation.text_format import markdown_table, words
 
 _GAPS = ("opened", "by training", METRICS["within_best_tries"].title, "by training")
 _PAIRED_LEGEND = (
     "in points: mean over scenes and trainings, with a 95 % interval over scenes. The interval excludes the spread "
     "between trainings; the next column shows each training's difference. Intervals are not corrected for the number "
-    "of comparisons; two added scenes keep them from collapsing where methods agree."
+    "of comparisons; two added scenes keep them from collapsing where methods agree. A training in which one "
+    "of the two lacks a category, or has other scenes, is left out."
 )
 
 
@@ -48,17 +48,14 @@ def effects_table(report: BenchmarkReport) -> str:
 def _gaps(report: BenchmarkReport, methods: tuple[str, str], categories: Sequence[str], objects: str) -> list[str]:
     """Returns the cells of `_GAPS`; none without results of both methods."""
     gaps = [report.paired(methods, categories, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
-    return [text for gap in gaps if gap is not None for text in (difference_text(gap), _by_training(gap))]
+    return [text for gap in gaps if gap is not None for text in (_difference(gap), _by_training(gap))]
 
 
 def _by_training(gap: PairedDifference) -> str:
     return ", ".join(f"{100 * each:+.0f}" for each in gap.by_training.values())
 
 
-def difference_text(gap: Difference | PairedDifference | None) -> str:
-    """Returns a difference in points with its interval; ``-`` for None."""
-    if gap is None:
-        return "-"
+def _difference(gap: PairedDifference) -> str:
     return f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
 
 

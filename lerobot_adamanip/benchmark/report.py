@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
-from lerobot_adamanip.evaluation.rates import Difference, Rate, difference
+from lerobot_adamanip.evaluation.rates import Rate
 
 FEW_KEY_FRAMES = 15
 BUDGETS = (10, FEW_KEY_FRAMES, 25, MAX_KEY_FRAMES)
@@ -119,43 +119,24 @@ class BenchmarkReport:
         there = {place[2] for place in self.entries if place[1] is None}
         return tuple(category for category in self.categories if category in there)
 
-    def whole_trainings(self, method: str, objects: str) -> dict[str, list[CellResult]]:
-        """Returns category -> results of the trainings that have all categories; empty if there are none."""
-        places = {
-            (each.cell.category, each.cell.seed): each for each in self.results if self._is_of(each, method, objects)
-        }
-        seeds = [
-            seed for seed in sorted({seed for _, seed in places}) if all((c, seed) in places for c in self.categories)
-        ]
-        return {category: [places[category, seed] for seed in seeds] for category in self.categories if seeds}
-
-    @staticmethod
-    def _is_of(result: CellResult, method: str, objects: str) -> bool:
-        return (result.cell.method, result.cell.objects, result.cell.trials) == (method, objects, None)
-
     def mean(
         self, method: str, objects: str, share: Callable[[Metrics], Rate | None] = lambda numbers: numbers.success
     ) -> float | None:
-        """Returns the mean of a method's rates over the categories, equally weighted, of its `whole_trainings`.
+        """Returns the mean of a method's rates over the categories, equally weighted, each over all its trainings.
 
-        ``share`` takes metrics to a rate, by default the success. None without such a training, or without a rate.
+        ``share`` takes metrics to a rate, by default the success. None if a category or its rate is missing.
         """
-        found = self.whole_trainings(method, objects).values()
-        rates = [share(pool(each.numbers for each in results)) for results in found]
-        if not rates or None in rates:
+        found = self.numbers(method, self.categories, (objects,))
+        rates = [share(each) for each in found]
+        if len(rates) < len(self.categories) or None in rates:
             return None
         return sum(each.rate or 0.0 for each in rates if each is not None) / len(rates)
 
-    def to_reference(self, method: str, categories: Sequence[str], objects: str) -> Difference | None:
-        """Returns the reference's success minus a method's, over the pooled episodes of the categories.
-
-        None if an entry is missing.
-        """
-        both = [self.numbers(name, categories, (objects,)) for name in (self.reference, method)]
-        if any(len(each) < len(categories) for each in both):
-            return None
-        first, second = (pool(each).success for each in both)
-        return difference(first, second)
+    def trainings(self, method: str, objects: str) -> str:
+        """Returns the number of trainings behind a mean: one number, or ``1 to 3``."""
+        entries = [self.entry(method, category, objects) for category in self.categories]
+        numbers = sorted({len(each.seeds) for each in entries if each is not None})
+        return " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
 
     def paired(
         self, methods: tuple[str, str], categories: Sequence[str], objects: str, min_outcome: str
@@ -188,7 +169,9 @@ class BenchmarkReport:
         The mean over the categories, equally weighted; empty if one is missing, or for results of earlier versions.
         """
         shares = []
-        for results in self.whole_trainings(method, objects).values():
+        for category in self.categories:
+            place = method, None, category, objects
+            results = [each for each in self.results if _place(each.cell) == place]
             scenes = [pair for each in results for pair in zip(each.outcomes, each.failed_tries, strict=False)]
             tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
             if not tries:

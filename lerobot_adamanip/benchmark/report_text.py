@@ -7,13 +7,7 @@ import operator
 from collections.abc import Iterator
 
 from lerobot_adamanip.benchmark.budget import budget_table
-from lerobot_adamanip.benchmark.paired_text import (
-    difference_text,
-    effects_table,
-    method_name,
-    paired_table,
-    title_of,
-)
+from lerobot_adamanip.benchmark.paired_text import effects_table, method_name, paired_table, title_of
 from lerobot_adamanip.benchmark.paper_rates import (
     PAPER_OBJECTS,
     SUCCESS_BY_TRIALS,
@@ -33,9 +27,9 @@ _PAPER = f"the paper, {PAPER_OBJECTS}"
 NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
-    "Successes, episodes and Wilson's 95 % interval, pooled over all trainings of a method. The interval does not "
-    "include the spread between trainings. A mean weights all categories equally, and is of the trainings that have "
-    "all of them. The CSV file beside this page has all metrics, also by hidden value."
+    "Successes, episodes and Wilson's 95 % interval, pooled over all trainings of a method, which see the same scenes. "
+    "The interval does not include the spread between trainings. A mean weights all categories equally. The CSV file "
+    "beside this page has all metrics, also by hidden value."
 )
 _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
@@ -66,15 +60,14 @@ def summary(report: BenchmarkReport) -> str:
         means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", within)]
         means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
         if means[0] is not None:
-            trainings = len(next(iter(report.whole_trainings(row.name, "seen").values())))
             shares = ("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)
-            rows.append([method_name(row), *shares, str(trainings)])
+            rows.append([method_name(row), *shares, report.trainings(row.name, "seen")])
     others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
     titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
     explanation = (
-        f"Means over {len(report.categories)} categories, {number} of each and training, {report.scenes} scenes, over "
-        "the trainings that have all categories."
+        f"Means over {len(report.categories)} categories, {number} of each, {report.scenes} scenes. A category's "
+        "number is over all its trainings, which see the same scenes."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
 
@@ -86,7 +79,6 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
     if len(report.categories) > 1:
         yield "Mean success", _means(report)
     yield "Success by category", _success(report)
-    yield f"{title_of(report, report.reference)} less the others, in points", _differences(report)
     if paired := paired_table(report):
         yield "In the same scenes", paired
     if effects := effects_table(report):
@@ -113,9 +105,8 @@ def _extent(report: BenchmarkReport) -> str:
     if report.missing:
         without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {'; '.join(without)}." if without else ""
-        lines.append(
-            f"Declared and not run: {counted(len(report.missing), 'cell')}; rows without a result are left out.{methods}"
-        )
+        number = counted(len(report.missing), "cell")
+        lines.append(f"Declared and not run: {number}; rows without a result are left out.{methods}")
     lines += [f"- {title_of(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
     return "\n".join(lines) + "\n"
 
@@ -166,19 +157,6 @@ def _mark(entry: Entry) -> str:
     return f"{' ' if code or options else ''}{code}{options}{few}"
 
 
-def _differences(report: BenchmarkReport) -> str:
-    rows = [
-        [
-            method_name(row),
-            *(difference_text(report.to_reference(row.name, report.categories, each)) for each in report.splits),
-        ]
-        for row in report.rows_with_results
-        if row.name != report.reference
-    ]
-    explanation = "Over all episodes, with 95 % intervals that do not pair the scenes."
-    return f"{markdown_table(['method', *_objects(report)], rows)}\n\n{explanation}"
-
-
 def _trials(report: BenchmarkReport) -> str:
     rows = []
     for method, category, objects in report.curves:
@@ -219,8 +197,8 @@ def _tries(report: BenchmarkReport) -> str:
             rows.append([method_name(row), objects, str(len(found)), metrics.show("wasted_tries"), *shares])
     titles = ["method", "objects", "categories", "wasted tries", "failed tries repeated", "new after a failed try"]
     explanation = (
-        "Wasted tries are the failed tries per success minus those of the best strategy that cannot see the hidden "
-        "state either."
+        "Over all episodes of a method. Wasted tries are the failed tries per success minus those of the best strategy "
+        "that cannot see the hidden state either."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}{_tries_by_category(report)}"
 

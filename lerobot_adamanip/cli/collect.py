@@ -45,7 +45,7 @@ class Collect:
     """Category of the objects; all for one dataset of every category."""
 
     expert: Literal["adaptive", "static"] = "adaptive"
-    """Expert. adaptive: knows only what a policy can observe, tries and recovers. static: sees the hidden state."""
+    """Expert. adaptive: knows no hidden state, tries and recovers. static: knows it. Both know the parts' poses."""
 
     episodes_per_object: int = 20
     """Number of successful episodes to keep per object."""

@@ -33,7 +33,7 @@ class Expert:
     """Category of the objects."""
 
     expert: Literal["adaptive", "static"] = "adaptive"
-    """Expert. adaptive: knows only what a policy can observe, tries and recovers. static: sees the hidden state."""
+    """Expert. adaptive: knows no hidden state, tries and recovers. static: knows it. Both know the parts' poses."""
 
     expert_strategy: Literal["paper", "upstream", "to_stop"] = "to_stop"
     """When the adaptive expert tries to open, see `adamanip collect`. to_stop: with the fewest failed tries."""

@@ -24,7 +24,7 @@ PRESENT = {CODE.episodes}
 def made(tmp_path_factory: pytest.TempPathFactory) -> CellResult:
     """A result of one cell by the rule."""
     folder = tmp_path_factory.mktemp("leaderboard")
-    scale = {**content()["scales"][SCALE], "splits": ["seen"], "evaluate": ["--seed=700000"]}
+    scale = {**content()["scales"][SCALE], "splits": ["seen"], "objects": "seen", "evaluate": ["--seed=700000"]}
     methods = {"ours": content()["methods"]["ours"]}
     run_all(benchmark(folder / "out", FakeRunner(folder), declared(scales={SCALE: scale}, methods=methods)))
     (result,) = read_cells(folder / "out" / "cells")
@@ -35,6 +35,7 @@ def entry(made: CellResult, share: float = 1.0, options: str = "", **changes: An
     """An entry that opens a share of all scenes, half of them within the best strategy's tries."""
     success, within = rate(round(100 * share), 100), rate(round(50 * share), 100)
     numbers = dataclasses.replace(made.numbers, success=success, within_best_tries=within)
+    changes = {"scene_seeds": (700000, 700099), **changes}
     whole, step = dataclasses.replace(made, numbers=numbers, **changes), made.steps["evaluate"]
     results = []
     for category, objects in itertools.product(CATEGORIES, OBJECT_SPLITS):
@@ -55,6 +56,7 @@ def test_an_entry_by_the_rule_breaks_nothing(made: CellResult) -> None:
         ({"changed": True}, "changes"),
         ({"commit": None}, "from none"),
         ({"fingerprint": "e" * 16}, "another simulator"),
+        ({"scene_seeds": (700100, 700199)}, "scenes 700100 to 700199, not 700000"),
         ("--env.split=validation", "--env.split=validation, not test"),
         ("--seed=1", "--seed=1, not 700000"),
         ("--env.mechanism_rules=upstream", "not paper"),
@@ -68,6 +70,15 @@ def test_what_breaks_the_rule_is_said(made: CellResult, changes: Any, said: str)
     found = list(violations(entry(made, **given), PRESENT))
     assert len(found) == len(CATEGORIES) * len(OBJECT_SPLITS)
     assert all(said in each for each in found)
+
+
+def test_a_policy_is_trained_on_seen_objects(made: CellResult) -> None:
+    collect = made.steps["collect"]
+    novel = StepDone(key=collect.key, command=collect.command.replace("--objects=seen", "--objects=novel"))
+    for steps in ({"evaluate": made.steps["evaluate"]}, {**made.steps, "collect": novel}):
+        found = list(violations(entry(dataclasses.replace(made, steps=steps)), PRESENT))
+        assert len(found) == len(CATEGORIES) * len(OBJECT_SPLITS)
+        assert all("without a training on demonstrations of seen objects" in each for each in found)
 
 
 def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellResult) -> None:
