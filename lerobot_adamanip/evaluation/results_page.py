@@ -18,9 +18,9 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 [results.csv](results.csv) has all metrics of all rows, by split of objects and by hidden value;
 [metrics](metrics.md) defines them.
 
-The *fingerprint* is a hash of the simulation code, in tables of experts also of theirs. It does not cover policies: their
-code is that of the commit. The README shows numbers of the present fingerprint only. Brackets hold Wilson's 95 % intervals. Commands are those of the commit below each table;
-later versions may spell them otherwise.
+The *fingerprint* is a hash of the simulation code, in tables of experts also of theirs. It does not cover policies:
+their code is that of the commit. The README shows numbers of the present fingerprint only. Brackets hold Wilson's 95 %
+intervals. Commands are those of the commit below each table; later versions may spell them otherwise.
 """
 EARLIER = """## Measured with earlier code
 
