@@ -17,6 +17,8 @@ from lerobot_adamanip.evaluation.text_format import counted, markdown_table
 
 EPISODES = 100
 """Number of episodes of each category and split of objects."""
+FIRST_SEED = 1000
+"""Seed of an entry's first training."""
 SCENES = (700000, 700099)
 """First and last seed of the scenes."""
 FIXED: Mapping[str, str] = {
@@ -31,6 +33,7 @@ makes them, with a declaration of your method and a scale like `test` of
 `lerobot_adamanip/benchmark/default_policy.toml`:
 
 - all nine categories on seen, unseen and novel objects, with each training seed, {EPISODES} episodes each;
+- training seeds {FIRST_SEED}, {FIRST_SEED + 1} and so on, none left out;
 - `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and of the other
   options of the environment only objects, num_points, image_size, observe_images and episode_log;
 - a policy that was trained, on demonstrations of seen objects alone;
@@ -57,6 +60,8 @@ def violations(results: Sequence[CellResult], present: Collection[str]) -> Itera
         yield f"several methods: {', '.join(methods)}"
     present_cells = {(each.cell.category, each.cell.objects, each.cell.seed) for each in results}
     seeds = sorted({each.cell.seed for each in results})
+    if seeds != (first := list(range(FIRST_SEED, FIRST_SEED + len(seeds)))):
+        yield f"training seeds {', '.join(map(str, seeds))}, not {', '.join(map(str, first))}"
     cells = itertools.product(CATEGORIES, OBJECT_SPLITS, seeds)
     if missing := [" ".join(map(str, each)) for each in cells if each not in present_cells]:
         yield f"no result of {', '.join(missing)}"

@@ -88,6 +88,8 @@ def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellR
     again = [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=1001)) for each in whole[:2]]
     (found,) = violations([*whole, *again], PRESENT)
     assert found.count(" 1001") == len(whole) - 2, "each training has all categories"
+    best = [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=1007)) for each in whole]
+    assert list(violations(best, PRESENT)) == ["training seeds 1007, not 1000"], "the best of several is no entry"
     other = dataclasses.replace(whole[0], cell=dataclasses.replace(whole[0].cell, method="other"))
     assert "several methods: other, ours" in list(violations([*whole, other], PRESENT))
     few = [dataclasses.replace(each, numbers=made.numbers) for each in whole]
