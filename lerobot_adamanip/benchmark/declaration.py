@@ -35,6 +35,7 @@ NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
 _OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _, or an empty text")
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
 _COUNT = integer(1, 10**8)
+_OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
 _CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
 _SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
 _OPTIONS = listing(text(r"--[a-z][\w.-]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
@@ -122,6 +123,7 @@ class Scale:
     Attributes:
         categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings.
         objects: objects of the demonstrations and of the split ``seen``.
+        objects_at: category -> objects, where they differ.
         demonstrations: episodes per category, or per object with ``demonstrations_per_object``.
         steps, batch_size: of each training.
         save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
@@ -133,7 +135,7 @@ class Scale:
         beside_paper: whether the report shows the paper's numbers. Changes no result.
     """
 
-    objects: Annotated[str, text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")]
+    objects: Annotated[str, _OBJECTS]
     demonstrations: Annotated[int, _COUNT]
     steps: Annotated[int, _COUNT]
     batch_size: Annotated[int, _COUNT]
@@ -147,8 +149,15 @@ class Scale:
     splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
     seeds: Annotated[tuple[int, ...], listing(integer(0, 2**31 - 1), 1, 100)] = (1000,)
     demonstrations_per_object: Annotated[bool, flag] = False
+    objects_at: Annotated[Mapping[str, str], mapping(choice(tuple(CATEGORIES)), _OBJECTS, 20)] = field(
+        default_factory=dict
+    )
     note: Annotated[str, text(r"[^\r\n|*`<>]{0,300}", "a line of plain text")] = ""
     beside_paper: Annotated[bool, flag] = True
+
+    def objects_of(self, category: str) -> str:
+        """Returns the objects of a category."""
+        return self.objects_at.get(category, self.objects)
 
 
 @dataclass(frozen=True, kw_only=True)

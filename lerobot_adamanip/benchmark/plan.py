@@ -171,7 +171,7 @@ def _correction(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code, *,
 
 
 def _objects(cell: Cell, scale: Scale) -> int:
-    return len(parse_object_selection(cell.category, scale.objects))
+    return len(parse_object_selection(cell.category, scale.objects_of(cell.category)))
 
 
 def _expert_options(wanted: Demonstrations) -> tuple[str, ...]:
@@ -194,7 +194,7 @@ def _recording(
         "adamanip",
         "collect",
         f"--category={cell.category}",
-        f"--objects={scale.objects}",
+        f"--objects={scale.objects_of(cell.category)}",
         f"--episodes-per-object={each}",
         *how,
         f"--num-points={wanted.num_points}",
@@ -251,7 +251,7 @@ def _evaluation(
         *(trained or made),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
-        f"--env.objects={scale.objects if cell.objects == 'seen' else cell.objects}",
+        f"--env.objects={scale.objects_of(cell.category) if cell.objects == 'seen' else cell.objects}",
         "--env.split=test",
         f"--env.num_points={like.num_points}",
         *pictures,

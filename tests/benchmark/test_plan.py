@@ -13,7 +13,7 @@ from benchmark_helpers import CODE, SCALE, content, declared, with_scale
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
 from lerobot_adamanip.benchmark.command_options import evaluation_options, option
-from lerobot_adamanip.benchmark.declaration import Declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
     EVALUATE,
@@ -26,6 +26,7 @@ from lerobot_adamanip.benchmark.plan import (
     plan,
 )
 from lerobot_adamanip.benchmark.policies import policy_hash
+from lerobot_adamanip.catalog import parse_object_selection, seen_objects
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -277,12 +278,22 @@ EVERYTHING, TRAINING, TEST = {COLLECT, TRAIN, EVALUATE}, {TRAIN, EVALUATE}, {EVA
         ({"batch_size": 3}, TRAINING), ({"device": "cuda"}, TRAINING), ({"episodes": 6}, TEST),
         ({"environments": 1}, TEST), ({"poses": "fixed"}, EVERYTHING), ({"evaluate": ["--x=1"]}, TEST),
         ({"save_every": 1}, set()), ({"categories": ["door"]}, set()), ({"seeds": [5, 6]}, set()),
-        ({"note": "Small."}, set()), ({"beside_paper": False}, set()),
+        ({"note": "Small."}, set()), ({"beside_paper": False}, set()), ({"objects_at": {"door": "0:1"}}, set()),
+        ({"objects_at": {"safe": "0:1"}}, EVERYTHING),
     ],
     ids=in_order,
 )  # fmt: skip
 def test_keys_follow_the_scale(scale: dict[str, Any], kinds: set[str]) -> None:
     assert changed_kinds(declaration=with_scale(**scale)) == kinds
+
+
+def test_every_scale_has_demonstrations_of_seen_objects_alone() -> None:
+    """As `adamanip collect` demands of all of them, late: after other categories were trained."""
+    for path in PAPER_TABLE.parent.glob("*.toml"):
+        for name, scale in read_declaration(path).scales.items():
+            for category in scale.categories:
+                selected = parse_object_selection(category, scale.objects_of(category))
+                assert set(selected) <= set(seen_objects(category)), f"{path.name}, {name}, {category}"
 
 
 @pytest.mark.parametrize(
