@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import shlex
 import statistics
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
-from lerobot_adamanip.benchmark.command_options import options_of
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.benchmark.result import CellResult
@@ -44,16 +42,16 @@ def mean_losses(report: BenchmarkReport, method: str) -> list[float]:
 
 def _last_trainings(results: Sequence[CellResult]) -> list[TrainingLog]:
     """Returns the logs of the last training of each result that has one."""
-    names = [[name for name, _ in _of_kind(result, TRAIN)][-1:] for result in results]
+    names = [[name for name, _ in result.options_of(TRAIN)][-1:] for result in results]
     both = zip(results, names, strict=True)
     return [result.trainings[last] for result, found in both for last in found if last in result.trainings]
 
 
 def _data(results: Sequence[CellResult]) -> str:
     """Returns the kind and mean number of demonstrations, and what else the trainings use."""
-    first = {kind: [options for _, options in _of_kind(results[0], kind)] for kind in (COLLECT, TRAIN)}
+    first = {kind: [options for _, options in results[0].options_of(kind)] for kind in (COLLECT, TRAIN)}
     demonstrations, corrections = (
-        sum(_recorded(options) for each in results for _, options in _of_kind(each, kind)) / len(results)
+        sum(_recorded(options) for each in results for _, options in each.options_of(kind)) / len(results)
         for kind in (COLLECT, CORRECT)
     )
     parts = [f"{demonstrations:.0f} {first[COLLECT][0]['--expert']} demonstrations"]
@@ -72,9 +70,9 @@ def _recorded(options: dict[str, str]) -> int:
 
 def _steps(result: CellResult) -> str:
     """Returns the steps of a result's trainings, the last one first if they are of several categories."""
-    trainings = [options for _, options in _of_kind(result, TRAIN)]
+    trainings = [options for _, options in result.options_of(TRAIN)]
     steps = [each["--steps"] for each in trainings]
-    data = [options for _, options in _of_kind(result, COLLECT)]
+    data = [options for _, options in result.options_of(COLLECT)]
     shown = " + ".join(steps) if len(data) == 1 else f"{steps[-1]}, after {counted(len(steps) - 1, 'training')}"
     return f"{shown} x {trainings[-1]['--batch_size']}"
 
@@ -85,7 +83,7 @@ def _costs(results: Sequence[CellResult]) -> list[str]:
         sum(
             result.costs[name].seconds * result.costs[name].machine["cores"] / 60
             for kind in (CORRECT, TRAIN)
-            for name, _ in _of_kind(result, kind)
+            for name, _ in result.options_of(kind)
             if name in result.costs
         )
         for result in results
@@ -95,10 +93,3 @@ def _costs(results: Sequence[CellResult]) -> list[str]:
         return [f"{sum(paid) / len(paid):.0f}", "-", "-"]
     change = sum(log.change for log in logs) / len(logs)
     return [f"{sum(paid) / len(paid):.0f}", f"{logs[0].parameters / 1e6:.1f} million", f"{100 * change:+.0f} %"]
-
-
-def _of_kind(result: CellResult, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yields name and options of a result's steps of a kind."""
-    for name, step in result.steps.items():
-        if name.partition("_")[0] == kind:
-            yield name, options_of(shlex.split(step.command))

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import itertools
-import shlex
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
-from lerobot_adamanip.benchmark.command_options import options_of
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
-from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult, StepDone
+from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
 from lerobot_adamanip.evaluation.rates import Rate
@@ -81,8 +79,8 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
         yield f"{counted(numbers.success.episodes, 'episode')}, not {EPISODES}, or without their tries"
     if result.scene_seeds != SCENES:
         yield f"scenes {result.scene_seeds[0]} to {result.scene_seeds[1]}, not {SCENES[0]} to {SCENES[1]}"
-    recorded = [options_of(shlex.split(step.command)).get("--objects") for step in _recordings(result)]
-    if TRAIN not in result.steps or set(recorded) != {"seen"}:
+    recorded = {each.get("--objects") for kind in (COLLECT, CORRECT) for _, each in result.options_of(kind)}
+    if TRAIN not in result.steps or recorded != {"seen"}:
         yield "without a training on demonstrations of seen objects"
     if cell.trials is not None:
         yield "part of a curve over trials"
@@ -90,10 +88,6 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
         yield "made from a commit with changes, or from none"
     if result.fingerprint not in present:
         yield "made with another simulator or other mechanisms than the present ones"
-
-
-def _recordings(result: CellResult) -> Iterator[StepDone]:
-    return (step for name, step in result.steps.items() if name.partition("_")[0] in (COLLECT, CORRECT))
 
 
 def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:

@@ -5,13 +5,13 @@ from __future__ import annotations
 import functools
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.command_options import evaluation_options
+from lerobot_adamanip.benchmark.command_options import evaluation_options, options_of
 from lerobot_adamanip.benchmark.declaration import NAME, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step
 from lerobot_adamanip.benchmark.training_log import TrainingLog
@@ -104,6 +104,12 @@ class CellResult(Origin):
     def evaluation_options(self) -> Mapping[str, str]:
         """Options of the evaluation, by their names in `lerobot-eval`, read from its command."""
         return evaluation_options(shlex.split(self.steps[EVALUATE].command))
+
+    def options_of(self, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
+        """Yields name and options of the steps of a kind."""
+        for name, step in self.steps.items():
+            if name.partition("_")[0] == kind:
+                yield name, options_of(shlex.split(step.command))
 
     @property
     def scenes(self) -> str:
