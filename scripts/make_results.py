@@ -27,7 +27,7 @@ from lerobot_env_adamanip.fingerprint import present_fingerprints
 IN_README = ("demo.json", "policies.json", "experts.json")
 """Result files for the README. docs/results.md shows all."""
 SCALES = ("test", "paper", "cpu", "overfit")
-"""Order of the scales on the page; others follow."""
+"""Order of the scales on the page; others follow. The README has the means of the first."""
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
 ![Success by method and category, with intervals, scale test](images/benchmark_success.png)
@@ -74,7 +74,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    tables = [summary(report) for report in reports if _is_current(report)]
+    tables = [summary(report) for report in reports if report.scale == SCALES[0] and _is_current(report)]
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
     reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
     pages = [benchmark_page(report, level=2) for report in reports]
