@@ -31,6 +31,8 @@ SCALES = ("test", "paper", "cpu", "overfit")
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
 ![Success by method and category, with intervals, scale test](images/benchmark_success.png)
+
+![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 """
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+from lerobot_adamanip.contract.categories import CATEGORIES
+
 ROOT = Path(__file__).resolve().parents[1]
 MAX_COLUMNS, MAX_README_WORDS, MAX_PAGE_WORDS = 6, 1200, 1500
 APART = ("docs/decisions.md", "docs/research/", "docs/upstream/", "docs/cards/")
 """Records, and texts for others: as long as they are."""
 NUMBERS = "docs/results.md"
-"""Tables of numbers: as long as there are results."""
+"""Tables of numbers: as long as there are results, with a column for each category."""
 WORDS = {
     r"\bwhom\b|\bwhoever\b": "a noun",
     r"\bsign of life\b|\bBeat\b": "heartbeat",
@@ -69,7 +71,7 @@ def test_tables_fit_the_column() -> None:
         columns = [
             line.replace(r"\|", "").strip().strip("|").count("|") + 1 for line in re.findall(r"^\|.*$", text, re.M)
         ]
-        if max(columns, default=0) > MAX_COLUMNS:
+        if max(columns, default=0) > (1 + len(CATEGORIES) if name == NUMBERS else MAX_COLUMNS):
             wide[name] = max(columns)
     assert wide == {}
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
+from lerobot_adamanip.benchmark.declaration import Effect
 from lerobot_adamanip.benchmark.report import BenchmarkReport, Row
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
@@ -21,28 +22,28 @@ _PAIRED_LEGEND = (
 
 def paired_table(report: BenchmarkReport) -> str:
     """Returns a table of the paired differences to the reference; empty without outcomes of scenes."""
-    rows = []
     others = [row for row in report.rows_with_results if row.name != report.reference]
-    for row, objects, where in itertools.product(others, report.splits, ("all", *report.categories)):
-        pooled = report.categories if where == "all" else (where,)
-        if cells := _gaps(report, (report.reference, row.name), pooled, objects):
-            rows.append([method_name(row), f"{words(where)}, {objects}", *cells])
-    explanation = f"{title_of(report, report.reference)} less each method in the same scenes, {_PAIRED_LEGEND}"
-    return f"{markdown_table(['method', 'category, objects', *_GAPS], rows)}\n\n{explanation}" if rows else ""
+    changes = [Effect(title=method_name(row), method=report.reference, without=row.name) for row in others]
+    return _table(report, "method", changes, f"{title_of(report, report.reference)} less each method")
 
 
 def effects_table(report: BenchmarkReport) -> str:
-    """Returns a table of the declared effects, over the categories in which both methods have results."""
+    """Returns a table of the declared effects; empty without outcomes of scenes."""
+    return _table(report, "what differs", report.effects, "With it less without it")
+
+
+def _table(report: BenchmarkReport, first: str, effects: Iterable[Effect], explanation: str) -> str:
+    """Returns a table of paired differences, over the categories in which both methods have results."""
     rows = []
-    for effect, objects in itertools.product(report.effects, report.splits):
+    for effect, objects in itertools.product(effects, report.splits):
         both = (effect.method, effect.without)
         chosen = [each for each in report.categories if each in (effect.categories or report.categories)]
         shared = [each for each in chosen if all(report.entry(name, each, objects) for name in both)]
         if cells := _gaps(report, both, shared, objects):
             where = "all" if len(shared) == len(report.categories) else ", ".join(map(words, shared))
             rows.append([effect.title, f"{where}, {objects}", *cells])
-    explanation = f"With it less without it in the same scenes, {_PAIRED_LEGEND}"
-    return f"{markdown_table(['what differs', 'where', *_GAPS], rows)}\n\n{explanation}" if rows else ""
+    table = markdown_table([first, "categories, objects", *_GAPS], rows)
+    return f"{table}\n\n{explanation} in the same scenes, {_PAIRED_LEGEND}" if rows else ""
 
 
 def _gaps(report: BenchmarkReport, methods: tuple[str, str], categories: Sequence[str], objects: str) -> list[str]:
@@ -52,11 +53,11 @@ def _gaps(report: BenchmarkReport, methods: tuple[str, str], categories: Sequenc
 
 
 def _by_training(gap: PairedDifference) -> str:
-    return ", ".join(f"{100 * each:+.0f}" for each in gap.by_training.values())
+    return ", ".join(f"{100 * each:+z.0f}" for each in gap.by_training.values())
 
 
 def _difference(gap: PairedDifference) -> str:
-    return f"{100 * gap.difference:+.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]"
+    return f"{100 * gap.difference:+z.0f} [{100 * gap.low:+z.0f}, {100 * gap.high:+z.0f}]"
 
 
 def method_name(row: Row) -> str:

@@ -104,8 +104,8 @@ class BenchmarkReport:
 
     @property
     def rows_with_results(self) -> tuple[Row, ...]:
-        """Methods that have results or cannot run here; tables and plots show them."""
-        there = {place[0] for place in self.entries if place[1] is None} | set(self.unavailable)
+        """Methods that have results; tables and plots show them."""
+        there = {place[0] for place in self.entries if place[1] is None}
         return tuple(row for row in self.rows if row.name in there)
 
     @property
@@ -136,7 +136,7 @@ class BenchmarkReport:
         """Returns the number of trainings behind a mean: one number, or ``1 to 3``."""
         entries = [self.entry(method, category, objects) for category in self.categories]
         numbers = sorted({len(each.seeds) for each in entries if each is not None})
-        return " to ".join(map(str, dict.fromkeys((numbers[0], numbers[-1]))))
+        return " to ".join(map(str, dict.fromkeys((*numbers[:1], *numbers[-1:]))))
 
     def paired(
         self, methods: tuple[str, str], categories: Sequence[str], objects: str, min_outcome: str

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from lerobot_adamanip.benchmark.budget import budget_table
 from lerobot_adamanip.benchmark.paired_text import effects_table, method_name, paired_table, title_of
@@ -15,28 +15,26 @@ from lerobot_adamanip.benchmark.paper_rates import (
     reported,
     reported_mean,
 )
-from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry, Row
+from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry
 from lerobot_adamanip.benchmark.result import StepCost
 from lerobot_adamanip.benchmark.run import WORDS
-from lerobot_adamanip.evaluation.metrics import METRICS, pool
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 _PAPER = f"the paper, {PAPER_OBJECTS}"
-NOT_RUN, UNAVAILABLE = "not run", "unavailable"
 OTHER_CODE, OTHER_OPTIONS = "†", "‡"
 _LEGEND = (
-    "Successes, episodes and Wilson's 95 % interval, pooled over all trainings of a method, which see the same scenes. "
-    "The interval does not include the spread between trainings. A mean weights all categories equally. The CSV file "
-    "beside this page has all metrics, also by hidden value."
+    "Numbers are pooled over all trainings of a method, which see the same scenes. A mean weights all categories "
+    "equally. The CSV file beside this page has counts, Wilson's 95 % intervals (without the spread between trainings) "
+    "and all metrics of each category, also by hidden value."
 )
 _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
     "the deviation measures."
 )
-_TRIES = ("within_best_tries", "repeated", "untried", "failures")
-"""Metrics of the tries by category."""
+_SUCCESS, _WITHIN = operator.attrgetter("success"), operator.attrgetter("within_best_tries")
 _MARKS = {
     OTHER_CODE: "measured with earlier code; the present code may give other numbers",
     OTHER_OPTIONS: "of other options than declared now",
@@ -54,14 +52,12 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
 
 def summary(report: BenchmarkReport) -> str:
     """Returns the means of the methods that have results of all categories, as a short table; empty without any."""
-    within = operator.attrgetter("within_best_tries")
     rows = []
     for row in report.rows_with_results:
-        means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", within)]
+        means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", _WITHIN)]
         means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
         if means[0] is not None:
-            shares = ("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)
-            rows.append([method_name(row), *shares, report.trainings(row.name, "seen")])
+            rows.append([method_name(row), *map(_mean, means), report.trainings(row.name, "seen")])
     others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
     titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
@@ -78,7 +74,9 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
         return
     if len(report.categories) > 1:
         yield "Mean success", _means(report)
-    yield "Success by category", _success(report)
+    yield "Success by category [%]", _by_category(report, _SUCCESS, report.beside_paper)
+    if within := _by_category(report, _WITHIN, beside_paper=False):
+        yield f"{METRICS['within_best_tries'].title}, by category [%]".capitalize(), within
     if paired := paired_table(report):
         yield "In the same scenes", paired
     if effects := effects_table(report):
@@ -112,49 +110,51 @@ def _extent(report: BenchmarkReport) -> str:
 
 
 def _means(report: BenchmarkReport) -> str:
+    first, within_title = report.splits[0], METRICS["within_best_tries"].title
     rows = []
     for row in report.rows_with_results:
         cells = []
         for objects in report.splits:
-            mean = report.mean(row.name, objects)
             entries = [report.entry(row.name, category, objects) for category in report.categories]
             marks = "".join(mark for mark in _MARKS if any(entry and mark in _mark(entry) for entry in entries))
-            cells.append("-" if mean is None else f"{100 * mean:.1f} % {marks}".strip())
-        within = report.mean(row.name, report.splits[0], operator.attrgetter("within_best_tries"))
+            cells.append(f"{_mean(report.mean(row.name, objects))} {marks}".strip())
+        if set(cells) == {"-"}:
+            continue
         paper = reported_mean(row.paper, report.categories)
-        shares = ("-" if share is None else f"{share:.1f} %" for share in (within and 100 * within, paper))
-        if set(cells) != {"-"}:
-            rows.append([method_name(row), *cells, *shares])
-    titles = ["method", *_objects(report), f"{METRICS['within_best_tries'].title}, {report.splits[0]}", _PAPER]
-    kept = [number for number, title in enumerate(titles) if title != _PAPER or report.beside_paper]
-    kept = [number for number in kept if number <= len(report.splits) or any(row[number] != "-" for row in rows)]
-    return markdown_table([titles[number] for number in kept], [[row[number] for number in kept] for row in rows])
-
-
-def _success(report: BenchmarkReport) -> str:
-    rows = []
-    for category in report.categories:
-        for row in report.rows_with_results:
-            cells = [_cell(report, row, category, objects) for objects in report.splits]
-            paper = reported(row.paper, category)
-            shown = "-" if paper is None else "{:.1f} ± {:.1f}".format(*paper)
-            if set(cells) != {NOT_RUN}:
-                rows.append([words(category), method_name(row), *cells, *[shown] * report.beside_paper])
-    titles = ["category", "method", *_objects(report), *[_PAPER] * report.beside_paper]
+        cells += [_mean(report.mean(row.name, first, _WITHIN)), report.trainings(row.name, first)]
+        cells += ["-" if paper is None else f"{paper:.1f} %"] * report.beside_paper
+        rows.append([method_name(row), *cells])
+    titles = ["method", *_objects(report), f"{within_title}, {first}", "trainings", *[_PAPER] * report.beside_paper]
     return markdown_table(titles, rows)
 
 
-def _cell(report: BenchmarkReport, row: Row, category: str, objects: str) -> str:
-    entry = report.entry(row.name, category, objects)
-    if entry is None:
-        return UNAVAILABLE if row.name in report.unavailable else NOT_RUN
-    return interval_text(entry.numbers.success) + _mark(entry)
+def _mean(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
+def _by_category(report: BenchmarkReport, share: Callable[[Metrics], Rate | None], beside_paper: bool) -> str:
+    """Returns a table of a rate in percent, a column a category; empty without a result that has the rate."""
+    rows = []
+    for row, objects in itertools.product(report.rows_with_results, report.splits):
+        entries = [report.entry(row.name, category, objects) for category in report.categories_with_results]
+        cells = ["-" if entry is None else _percent(share(entry.numbers)) + _mark(entry) for entry in entries]
+        if any(cell[0] != "-" for cell in cells):
+            rows.append([f"{method_name(row)}, {objects}", *cells])
+    for name in dict.fromkeys(row.paper for row in report.rows_with_results if row.paper and beside_paper):
+        values = [reported(name, category) for category in report.categories_with_results]
+        cells = ["-" if each is None else "{:.1f} ± {:.1f}".format(*each) for each in values]
+        rows.append([f"{name}, {_PAPER}", *cells])
+    return markdown_table(["method, objects", *map(words, report.categories_with_results)], rows) if rows else ""
+
+
+def _percent(share: Rate | None) -> str:
+    """Returns a rate in percent, with a decimal only where it needs one."""
+    return "-" if share is None or share.rate is None else f"{100 * share.rate:.1f}".removesuffix(".0")
 
 
 def _mark(entry: Entry) -> str:
-    code, options = OTHER_CODE * entry.other_code, OTHER_OPTIONS * entry.other_options
-    few = f" ({len(entry.seeds)} of {entry.wanted} trainings)" if len(entry.seeds) < entry.wanted else ""
-    return f"{' ' if code or options else ''}{code}{options}{few}"
+    marks = OTHER_CODE * entry.other_code + OTHER_OPTIONS * entry.other_options
+    return f"{' ' if marks else ''}{marks}"
 
 
 def _trials(report: BenchmarkReport) -> str:
@@ -162,7 +162,7 @@ def _trials(report: BenchmarkReport) -> str:
     for method, category, objects in report.curves:
         for trials in report.trials:
             entry = report.entry(method, category, objects, trials)
-            cells = [NOT_RUN, NOT_RUN]
+            cells = ["not run", "not run"]
             if entry is not None:
                 within = interval_text(entry.numbers.opened_within(FEW_KEY_FRAMES))
                 cells = [interval_text(entry.numbers.success) + _mark(entry), within]
@@ -200,21 +200,7 @@ def _tries(report: BenchmarkReport) -> str:
         "Over all episodes of a method. Wasted tries are the failed tries per success minus those of the best strategy "
         "that cannot see the hidden state either."
     )
-    return f"{markdown_table(titles, rows)}\n\n{explanation}{_tries_by_category(report)}"
-
-
-def _tries_by_category(report: BenchmarkReport) -> str:
-    """Returns a table of each category's tries; empty for results of versions that did not count them."""
-    rows = []
-    for category in report.categories:
-        for row in report.rows_with_results:
-            for objects in report.splits:
-                entry = report.entry(row.name, category, objects)
-                if entry is not None and entry.numbers.within_best_tries is not None:
-                    numbers = [entry.numbers.show(name) for name in _TRIES]
-                    rows.append([f"{words(category)}, {objects}", method_name(row), *numbers])
-    titles = ["category, objects", "method", *(METRICS[name].title for name in _TRIES)]
-    return f"\n\n{markdown_table(titles, rows)}" if rows else ""
+    return f"{markdown_table(titles, rows)}\n\n{explanation}"
 
 
 def _share(share: Rate | None) -> str:
