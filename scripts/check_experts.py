@@ -1,8 +1,8 @@
 """Runs the scripted experts without rendering and reports their success rates.
 
-A cell is a set of mechanism rules (``preset`` in the output), a category, an object split and an expert. Each cell has
-``--episodes`` episodes, and both experts get the same ones. All attempts count: a scene without a placed object is also
-a failure. Success is the task's success; the expert continues to its own end. For example:
+A cell is a set of mechanism rules, a category, an object split and an expert. Each cell has ``--episodes`` episodes,
+and both experts get the same ones. All attempts count: a scene without a placed object is also a failure. Success is
+the task's success; the expert continues to its own end. For example:
 
     python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --workers 2
 """
@@ -41,7 +41,7 @@ SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
 class Episode:
     """An episode and, after its run, its result. ``key_frames``: until success; ``placed``: whether a scene exists."""
 
-    preset: str
+    mechanism_rules: str
     category: str
     kind: str
     split: str
@@ -78,11 +78,11 @@ class BlindEnvironment:
 
 
 def run_batch(episodes: list[Episode]) -> list[Episode]:
-    """Runs episodes of one preset and category sequentially in one simulator."""
+    """Runs episodes of one set of mechanism rules and category sequentially in one simulator."""
     warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.simulator import make_task
 
-    task = make_task(episodes[0].category, mechanism_rules=episodes[0].preset)
+    task = make_task(episodes[0].category, mechanism_rules=episodes[0].mechanism_rules)
     try:
         return [_run(task, episode) for episode in episodes]
     finally:
@@ -107,7 +107,7 @@ def _run(task: Any, episode: Episode) -> Episode:
         task.placement.annotations,
         generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
-        mechanism_rules=episode.preset,
+        mechanism_rules=episode.mechanism_rules,
         feedback=task.feedback,
     )
     result = rollout(env, {}, expert)  # type: ignore[arg-type]
@@ -123,12 +123,12 @@ def plan(options: argparse.Namespace) -> list[Episode]:
     """Returns all requested episodes. Raises `ConfigurationError` if ``--objects`` belong to other categories."""
     names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
     found = []
-    for preset, (split, category, object_ids) in itertools.product(options.mechanism_rules, _selected(names, options)):
+    for rules, (split, category, object_ids) in itertools.product(options.mechanism_rules, _selected(names, options)):
         for number in range(options.episodes):
             # Spread over the objects. Small categories repeat objects with other seeds.
             chosen = object_ids[number * len(object_ids) // options.episodes % len(object_ids)]
             seed = options.first_seed + 10_000 * (SPLITS.index(split) if split in SPLITS else len(SPLITS)) + number
-            found += [Episode(preset, category, kind, split, chosen, seed) for kind in options.experts]
+            found += [Episode(rules, category, kind, split, chosen, seed) for kind in options.experts]
     return found
 
 
@@ -164,11 +164,11 @@ def grouped(episodes: list[Episode], *names: str) -> dict[tuple[str, ...], list[
 
 
 def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
-    """Returns a row per cell, and a row ``all`` per category and expert over all splits and presets."""
-    cells = grouped(episodes, "category", "kind", "preset", "split")
+    """Returns a row per cell, and a row ``all`` per category and expert over all splits and mechanism rules."""
+    cells = grouped(episodes, "category", "kind", "mechanism_rules", "split")
     cells |= {(*key, "all", "all"): chosen for key, chosen in grouped(episodes, "category", "kind").items()}
     return [
-        {"category": key[0], "expert": key[1], "preset": key[2], "split": key[3], **_counts(chosen)}
+        {"category": key[0], "expert": key[1], "mechanism_rules": key[2], "split": key[3], **_counts(chosen)}
         for key, chosen in sorted(cells.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:]))
     ]
 
@@ -199,21 +199,23 @@ def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str
 
 def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
     """Returns rows and failures as text."""
-    lines = [f"{'category':16} {'expert':9} {'preset':9} {'split':7} {'kept':>9}  95 % interval   key frames"]
+    lines = [f"{'category':16} {'expert':9} {'rules':9} {'split':7} {'kept':>9}  95 % interval   key frames"]
     for row in rows:
         low, high = row["wilson_95"]
         frames = "-" if row["mean_key_frames"] is None else f"{row['mean_key_frames']:.1f}"
-        names = f"{row['category']:16} {row['expert']:9} {row['preset']:9} {row['split']:7}"
+        names = f"{row['category']:16} {row['expert']:9} {row['mechanism_rules']:9} {row['split']:7}"
         lines.append(f"{names} {row['kept']:>4}/{row['attempted']:<4}  {low:.3f} ... {high:.3f}  {frames:>9}")
     for e in failures:
-        lines.append(f"failed: {e.preset} {e.kind} {e.object_id} seed {e.seed} {e.hidden} {e.reason}")
+        lines.append(f"failed: {e.mechanism_rules} {e.kind} {e.object_id} seed {e.seed} {e.hidden} {e.reason}")
     return "\n".join(lines)
 
 
 def result_rows(episodes: list[Episode]) -> list[ResultRow]:
     """Returns a result-file row per cell."""
     rows = []
-    for (kind, preset, category, split), chosen in grouped(episodes, "kind", "preset", "category", "split").items():
+    for (kind, rules, category, split), chosen in grouped(
+        episodes, "kind", "mechanism_rules", "category", "split"
+    ).items():
         hidden: dict[str, list[bool]] = {}
         for e in chosen:
             discrete = {name: value for name, value in (e.hidden or {}).items() if not isinstance(value, float)}
@@ -225,7 +227,7 @@ def result_rows(episodes: list[Episode]) -> list[ResultRow]:
             key_frames=dict(sorted(Counter(e.key_frames for e in chosen if e.success).items())),
         )
         objects = split if split in SPLITS else object_split(chosen[0].object_id) or "external"
-        rows.append(ResultRow(kind, preset, category, objects, metrics))
+        rows.append(ResultRow(kind, rules, category, objects, metrics))
     return rows
 
 
@@ -249,8 +251,8 @@ def command_line() -> argparse.ArgumentParser:
 
 
 def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
-    """Runs episodes in processes. Episodes of one preset and category share a simulator."""
-    groups = grouped(episodes, "preset", "category").values()
+    """Runs episodes in processes. Episodes of one set of mechanism rules and category share a simulator."""
+    groups = grouped(episodes, "mechanism_rules", "category").values()
     batches = [(part,) for group in groups for part in in_batches(group)]
     found = run_parallel(run_batch, batches, workers, Progress(len(episodes)))
     return [episode for _, part in found for episode in part]
@@ -267,11 +269,11 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
         sys.stderr.write(f"{error}\n")
         return 2
     if options.result is not None:
-        presets = ", ".join(dict.fromkeys(episode.preset for episode in finished))
+        rules = ", ".join(dict.fromkeys(episode.mechanism_rules for episode in finished))
         result = make_result(
             result_rows(finished),
             kind="expert",
-            title=f"scripted experts, preset {presets}",
+            title=f"scripted experts, mechanism rules {rules}",
             command=said["command"],
             fingerprint=said["fingerprint"],
             seeds=[episode.seed for episode in finished],

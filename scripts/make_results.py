@@ -55,14 +55,10 @@ def entries(folder: Path, present: Collection[str]) -> dict[str, list[CellResult
     """Returns name -> result files of the leaderboard's entries; those that break its rule are left out."""
     found = {path.name: read_cells(path) for path in sorted((folder / "leaderboard").glob("*/"))}
     methods = read_declaration(PAPER_TABLE.with_name("default_policy.toml")).methods
-    ours: dict[tuple[str, int], list[CellResult]] = {}
     for result in read_cells(folder / "benchmark" / "test"):
-        ours.setdefault((f"{methods[result.cell.method].title} (this project)", result.cell.seed), []).append(result)
-    kept = {name: results for name, results in found.items() if not any(violations(results, present))}
-    for (name, _), results in ours.items():  # trainings with all categories and splits of objects
-        if not any(violations(results, present)):
-            kept.setdefault(name, []).extend(results)
-    return kept
+        if result.cell.method in methods:
+            found.setdefault(f"{methods[result.cell.method].title} (this project)", []).append(result)
+    return {name: results for name, results in found.items() if not any(violations(results, present))}
 
 
 def _is_current(report: BenchmarkReport) -> bool:

@@ -223,7 +223,13 @@ def _costs(report: BenchmarkReport) -> str:
     commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in report.results}
     fingerprints = {f"`{each.fingerprint}`" for each in report.results}
     versions = {each.version for each in report.results}
-    for what, values in (("commit", commits), ("fingerprint", fingerprints), ("version", versions)):
+    scenes = {"{} to {}".format(*each.scene_seeds) for each in report.results}
+    for what, values in (
+        ("seeds of scenes", scenes),
+        ("commit", commits),
+        ("fingerprint", fingerprints),
+        ("version", versions),
+    ):
         lines.append(f"- {what}: {', '.join(sorted(values))}")
     return "\n".join(lines)
 

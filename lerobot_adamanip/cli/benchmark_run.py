@@ -40,7 +40,7 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 def run_benchmark(options: BenchmarkOptions) -> int:
     """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
-    declaration = with_packages(read_declaration(options.config or PAPER_TABLE))
+    declaration = read_declaration(options.config) if options.config else with_packages(read_declaration(PAPER_TABLE))
     scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
     cells = select_cells(declaration, scale, **selection)
     runs_nothing = options.list_cells or options.report

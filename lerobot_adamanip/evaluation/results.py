@@ -30,11 +30,11 @@ PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
 
 @dataclass(frozen=True)
 class ResultRow:
-    """Result of one subject, preset, category and split of objects.
+    """Result of one subject, set of mechanism rules, category and split of objects.
 
     Attributes:
         subject: expert or policy, as in tables: ``adaptive``, ``dp3_adaptive, adaptive demonstrations``.
-        preset: of the mechanisms.
+        mechanism_rules: see `MECHANISM_RULES`; also those of earlier versions.
         category: category, for instance ``safe``.
         objects: one of `OBJECT_SPLITS`.
         metrics: of these episodes; failed and unreachable ones count too.
@@ -42,7 +42,7 @@ class ResultRow:
     """
 
     subject: Annotated[str, LINE]
-    preset: Annotated[str, text(r"[a-z_]{1,30}", "a preset's name")]
+    mechanism_rules: Annotated[str, text(r"[a-z_]{1,30}", "a name of mechanism rules")]
     category: Annotated[str, choice(tuple(CATEGORIES))]
     objects: Annotated[str, choice(OBJECT_SPLITS)]
     metrics: Annotated[Metrics, Metrics.from_json]
@@ -109,7 +109,7 @@ def check_command(command: str) -> str:
 def rows_of_records(
     records: Sequence[EpisodeRecord], subject: str, train_minutes: float | None = None
 ) -> list[ResultRow]:
-    """Returns a row for each preset, category and split of objects in an evaluation."""
+    """Returns a row for each set of mechanism rules, category and split of objects in an evaluation."""
     found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
     for each in without_repeats(records):
         key = (each.provenance.mechanism_rules, each.category, each.object_split or "external")

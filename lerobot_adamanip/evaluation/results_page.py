@@ -20,7 +20,9 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 
 The *fingerprint* is a hash of the simulation code, in tables of experts also of theirs. It does not cover policies:
 their code is that of the commit. The README shows numbers of the present fingerprint only. Brackets hold Wilson's 95 %
-intervals. Commands are those of the commit below each table; later versions may spell them otherwise.
+intervals of rates and, in tables of differences, paired 95 % intervals over scenes; means have none. Commands are those
+of the commit below each table, for a benchmark in its files `results/benchmark/SCALE/*.json`; later versions may spell
+them otherwise.
 """
 EARLIER = """## Measured with earlier code
 
@@ -63,13 +65,13 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
 
 
 def readme_block(results: Mapping[str, ResultFile], present: Container[str], tables: Iterable[str] = ()) -> str:
-    """Returns the README block with both markers: results of the paper's preset with the present fingerprint.
+    """Returns the README block with both markers: results of mechanism rules `paper` with the present fingerprint.
 
     Policy selection used the validation scenes, so the block omits them once test scenes have results. It also omits
     experts once a policy has results. A single number gets no table. ``tables`` follow as they are.
     """
     known = (result for result in results.values() if result.fingerprint in present)
-    fresh = [result for result in known if any(row.preset == "paper" for row in result.rows)]
+    fresh = [result for result in known if any(row.mechanism_rules == "paper" for row in result.rows)]
     fresh = [result for result in fresh if result.scenes != "validation"] or fresh
     by_kind = {kind: [result for result in fresh if result.kind == kind] for kind in ("policy", "expert")}
     parts = [START]
@@ -78,7 +80,11 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], tab
         told = f" {result.rows[0].metrics.show('success')}" if single else f"\n\n{success_table(result)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
     parts += [f"{table}\n" for table in tables]
-    parts.append("Commands, commits and hidden values: [results](docs/results.md)." if len(parts) > 1 else NOTHING)
+    parts.append(
+        "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
+        if len(parts) > 1
+        else NOTHING
+    )
     return "\n".join([*parts, END])
 
 
@@ -121,11 +127,11 @@ def _tries(result: ResultFile) -> str:
 
 
 def _by_subject(rows: Sequence[ResultRow]) -> dict[str, list[ResultRow]]:
-    """Returns name -> rows; the name includes the preset if there are several."""
-    several = len({row.preset for row in rows}) > 1
+    """Returns name -> rows; the name includes the mechanism rules if there are several."""
+    several = len({row.mechanism_rules for row in rows}) > 1
     found: dict[str, list[ResultRow]] = {}
     for row in rows:
-        found.setdefault(f"{row.subject} ({row.preset})" if several else row.subject, []).append(row)
+        found.setdefault(f"{row.subject} ({row.mechanism_rules})" if several else row.subject, []).append(row)
     return found
 
 

@@ -60,7 +60,13 @@ def _table(result: ResultFile) -> str:
     scenes = "scenes of no split" if result.scenes is None else f"scenes of the {result.scenes} split"
     titles = ["who", "category", "objects", "mechanisms", *(METRICS[name].title for name in _SHOWN)]
     rows = (
-        [row.subject, words(row.category), row.objects, row.preset, *(row.metrics.show(name) for name in _SHOWN)]
+        [
+            row.subject,
+            words(row.category),
+            row.objects,
+            row.mechanism_rules,
+            *(row.metrics.show(name) for name in _SHOWN),
+        ]
         for row in result.rows
     )
     seeds = f"seeds {result.seeds[0]} to {result.seeds[1]}"
@@ -84,7 +90,7 @@ def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
             task_name="articulated manipulation under hidden state",
             dataset_type=f"adamanip_{row.category}",
             dataset_name=f"AdaManip {words(row.category)}, {row.objects} objects",
-            dataset_config=row.preset,
+            dataset_config=row.mechanism_rules,
             dataset_split=row.objects,
             dataset_args={
                 "scenes": each.scenes,

@@ -84,12 +84,18 @@ def test_a_policy_is_trained_on_seen_objects(made: CellResult) -> None:
 def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellResult) -> None:
     whole = entry(made)
     (found,) = violations(whole[1:], PRESENT)
-    assert found == f"no result of {whole[0].cell.category} {whole[0].cell.objects} 1000"
-    again = [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=1001)) for each in whole[:2]]
-    (found,) = violations([*whole, *again], PRESENT)
-    assert found.count(" 1001") == len(whole) - 2, "each training has all categories"
-    best = [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=1007)) for each in whole]
-    assert list(violations(best, PRESENT)) == ["training seeds 1007, not 1000"], "the best of several is no entry"
+    assert found == f"{whole[0].cell.category} {whole[0].cell.objects}: training seeds none, not 1000"
+
+    def trained(results: list[CellResult], seed: int) -> list[CellResult]:
+        return [dataclasses.replace(each, cell=dataclasses.replace(each.cell, seed=seed)) for each in results]
+
+    assert list(violations([*whole, *trained(whole[:2], 1001)], PRESENT)) == [], "more trainings of some categories"
+    assert "| 1 to 2 |" in leaderboard_page({"more": [*whole, *trained(whole[:2], 1001)]})
+    (found,) = violations([*whole, *trained(whole[:1], 1002)], PRESENT)
+    assert found.endswith("training seeds 1000, 1002, not 1000, 1001"), "one is left out"
+    best = list(violations(trained(whole, 1007), PRESENT))
+    assert len(best) == len(whole)
+    assert all(each.endswith("training seeds 1007, not 1000") for each in best), "the best of several is no entry"
     other = dataclasses.replace(whole[0], cell=dataclasses.replace(whole[0].cell, method="other"))
     assert "several methods: other, ours" in list(violations([*whole, other], PRESENT))
     few = [dataclasses.replace(each, numbers=made.numbers) for each in whole]
