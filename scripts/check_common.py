@@ -5,33 +5,30 @@ from __future__ import annotations
 import argparse
 import os
 import shlex
-import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.cli.progress import ProgressLines
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.evaluation.provenance import present_origin
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
-INTERVAL_S = 15.0
-"""Time between two progress lines [s]."""
 BATCH = 20
 """Number of scenes per simulator start."""
 
 
 def header() -> dict[str, Any]:
     """Returns the header of a report: command, commit if any, fingerprint and versions."""
-    asked = subprocess.run(["git", "rev-parse", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False)
     return {
         "command": shlex.join(["python", *sys.argv]),
-        "commit": asked.stdout.strip() or None,
+        "commit": present_origin().commit,
         "fingerprint": present_fingerprint(),
         "versions": dict(versions()),
     }
@@ -103,7 +100,7 @@ def run_seeds[Result](
     names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
     batches = [(name, part, *more) for name in names for part in in_batches(seeds)]
     found: dict[str, list[Result]] = {name: [] for name in names}
-    for (name, *_), results in run_parallel(check, batches, options.workers, Progress(len(names) * options.seeds)):
+    for (name, *_), results in run_parallel(check, batches, options.workers, len(names) * options.seeds):
         found[name] += results
     return found
 
@@ -114,33 +111,18 @@ def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:
 
 
 def run_parallel[Result](
-    work: Callable[..., list[Result]], batches: Iterable[tuple[Any, ...]], workers: int, progress: Progress
+    work: Callable[..., list[Result]], batches: Iterable[tuple[Any, ...]], workers: int, total: int
 ) -> Iterator[tuple[tuple[Any, ...], list[Result]]]:
-    """Yields each batch and the result of ``work(*batch)`` from single-threaded processes."""
+    """Yields each batch and the result of ``work(*batch)`` from single-threaded processes; ``total`` episodes."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
+    show, done = ProgressLines({"episodes": "episodes"}), 0
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
         try:
             jobs = {pool.submit(work, *batch): batch for batch in batches}
             for job in as_completed(jobs):
-                progress.advance(len(job.result()))
+                done += len(job.result())
+                show("episodes", done, total)
                 yield jobs[job], job.result()
         except BaseException:
             pool.shutdown(wait=False, cancel_futures=True)
             raise
-
-
-class Progress:
-    """Writes progress lines to standard error: finished episodes of ``total``."""
-
-    def __init__(self, total: int) -> None:
-        self.done, self.total, self.start, self._written_s = 0, total, time.monotonic(), -INTERVAL_S
-
-    def advance(self, finished: int) -> None:
-        """Adds finished episodes."""
-        self.done += finished
-        elapsed = time.monotonic() - self.start
-        if elapsed - self._written_s >= INTERVAL_S or self.done == self.total:
-            self._written_s = elapsed
-            left = elapsed / self.done * (self.total - self.done)
-            sys.stderr.write(f"{self.done}/{self.total} episodes, {elapsed:.0f} s, about {left:.0f} s left\n")
-            sys.stderr.flush()

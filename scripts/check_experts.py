@@ -21,7 +21,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from check_common import Progress, count, header, in_batches, list_of, run_parallel
+from check_common import count, header, in_batches, list_of, run_parallel
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
@@ -254,7 +254,7 @@ def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
     """Runs episodes in processes. Episodes of one set of mechanism rules and category share a simulator."""
     groups = grouped(episodes, "mechanism_rules", "category").values()
     batches = [(part,) for group in groups for part in in_batches(group)]
-    found = run_parallel(run_batch, batches, workers, Progress(len(episodes)))
+    found = run_parallel(run_batch, batches, workers, len(episodes))
     return [episode for _, part in found for episode in part]
 
 

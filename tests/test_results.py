@@ -68,7 +68,6 @@ def row(
     mechanism_rules: str = "paper",
     wasted: float | None = None,
     repeated: tuple[int, int] | None = None,
-    train_minutes: float | None = None,
 ) -> ResultRow:
     metrics = Metrics(
         success=rate(*counts),
@@ -76,7 +75,7 @@ def row(
         wasted_tries=None if wasted is None else Mean(wasted * counts[0], counts[0]),
         repeated=None if repeated is None else rate(*repeated),
     )
-    return ResultRow(subject, mechanism_rules, category, objects, metrics, train_minutes)
+    return ResultRow(subject, mechanism_rules, category, objects, metrics)
 
 
 def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
@@ -164,15 +163,14 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
 
 def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_were_measured() -> None:
     rows = [
-        row("ours", "safe", "seen", (9, 10), train_minutes=9.6),
-        row("ours", "safe", "unseen", (10, 20), train_minutes=9.6),
+        row("ours", "safe", "seen", (9, 10)),
+        row("ours", "safe", "unseen", (10, 20)),
         row("ours", "lamp", "seen", (20, 20)),
         row("other", "safe", "seen", (2, 10)),
     ]
     lines = success_table(result(kind="policy", rows=tuple(rows))).splitlines()
-    assert lines[0] == "| policy | category | seen objects | unseen objects | trained |"
-    assert lines[2].endswith("| 10 min |")
-    assert lines[4] == "| ours | mean of 2 | 95.0 % | - |  |", "of unseen objects one category alone was measured"
+    assert lines[0] == "| policy | category | seen objects | unseen objects |"
+    assert lines[4] == "| ours | mean of 2 | 95.0 % | - |", "of unseen objects one category alone was measured"
     assert lines[5].startswith("| other | safe | 2/10")
     assert len(lines) == 6
 

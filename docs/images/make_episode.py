@@ -8,6 +8,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.experts import make_expert
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -28,15 +29,10 @@ RENDERED, CROP, SIDE, BAR = 768, (0, 10, 740, 630), 300, 30
 def frames() -> list[Image.Image]:
     """Returns the front image after each key frame, the start first."""
     env = KeyframeEnv("safe", objects=OBJECT, image_size=RENDERED, hidden_overrides=HIDDEN, split="test")
-    env.reset(seed=SEED)
+    observation, _ = env.reset(seed=SEED)
+    seen = [env.render()]
     expert = make_expert("safe", "adaptive", env.annotations, generator=np.random.default_rng(SEED))
-    seen, goal, ended = [env.render()], next(expert), False
-    while not ended:
-        *_, ended, truncated, _ = env.step(goal.action())
-        seen.append(env.render())
-        ended = ended or truncated
-        if not ended:
-            goal = expert.send(env.feedback)
+    rollout(env, observation, expert, lambda _: seen.append(env.render()))
     env.close()
     return [Image.fromarray(image) for image in seen]
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
@@ -48,14 +47,12 @@ class Entry:
     Attributes:
         numbers: metrics of all their episodes.
         seeds: training seeds with results.
-        wanted: number of declared trainings.
         other_code: whether some results were made with other code.
         other_options: whether some results were made with other options than declared.
     """
 
     numbers: Metrics
     seeds: tuple[int, ...]
-    wanted: int
     other_code: bool
     other_options: bool
 
@@ -226,7 +223,7 @@ def make_report(
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
         trials=tuple(sorted({trials for _, trials, _, _ in places if trials is not None})),
-        entries=_entries(results, cells, other_code, other_options),
+        entries=_entries(results, other_code, other_options),
         missing=tuple(cell for cell in cells if cell not in there),
         unavailable=dict(unavailable or {}),
         results=tuple(results),
@@ -241,9 +238,8 @@ def _with_other_options(results: Iterable[CellResult], declaration: Declaration,
 
 
 def _entries(
-    results: Iterable[CellResult], cells: Iterable[Cell], other_code: Collection[Cell], other_options: Collection[Cell]
+    results: Iterable[CellResult], other_code: Collection[Cell], other_options: Collection[Cell]
 ) -> dict[Place, Entry]:
-    wanted = Counter(_place(cell) for cell in cells)
     found: dict[Place, list[CellResult]] = {}
     for result in results:
         found.setdefault(_place(result.cell), []).append(result)
@@ -251,7 +247,6 @@ def _entries(
         place: Entry(
             numbers=pool(each.numbers for each in several),
             seeds=tuple(sorted(each.cell.seed for each in several)),
-            wanted=wanted[place],
             other_code=any(each.cell in other_code for each in several),
             other_options=any(each.cell in other_options for each in several),
         )

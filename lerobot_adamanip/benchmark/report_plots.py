@@ -2,57 +2,57 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.benchmark.budget import mean_losses
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, SUCCESS_BY_TRIALS, TRIALS_CATEGORY, reported
-from lerobot_adamanip.benchmark.report import FEW_KEY_FRAMES, BenchmarkReport, Row
+from lerobot_adamanip.benchmark.report import FEW_KEY_FRAMES, BenchmarkReport
 from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, heights_and_errors, new_figure, save_figure
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.text_format import words
 
 _LEGEND_COLUMN_INCH = 3.4
 """Space for the longest title of a method."""
+Lines = Mapping[str, tuple[Sequence[float], Sequence[float]]]
+"""Name -> x and y of a line."""
 
 
 def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
     """Draws all plots that have data into a folder; returns their paths."""
     paths = [_plot_success(report, folder)] if report.categories_with_results else []
     paths += [_plot_trials(report, folder)] if report.curves else []
-    curves = {row: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
-    paths += [_plot_tries(report, curves, folder)] if any(curves.values()) else []
-    losses = {row: mean_losses(report, row.name) for row in report.rows_with_results}
-    return paths + ([_plot_losses(losses, folder)] if any(losses.values()) else [])
+    tries = {row.title: report.opened_with(row.name, report.splits[0]) for row in report.rows_with_results}
+    losses = {row.title: mean_losses(report, row.name) for row in report.rows_with_results}
+    if any(tries.values()):
+        lines: Lines = {name: (range(len(shares)), [100 * share for share in shares]) for name, shares in tries.items()}
+        texts = {"xlabel": "failed tries at most", "ylabel": f"success [%], {report.splits[0]} objects"}
+        title = f"Success within a number of failed tries, {report.scenes} scenes"
+        paths.append(_plot_lines(lines, title, folder / "tries.png", marker="o", ylim=(0, 103), **texts))
+    if any(losses.values()):
+        lines = {name: (_percents(len(values)), values) for name, values in losses.items()}
+        texts = {"xlabel": "share of the training [%]", "ylabel": "training loss / loss at the start"}
+        title = "Training loss, geometric mean over categories"
+        paths.append(_plot_lines(lines, title, folder / "losses.png", yscale="log", **texts))
+    return paths
 
 
-def _plot_losses(losses: Mapping[Row, list[float]], folder: Path) -> Path:
-    """Draws the training loss of each method over its last training."""
+def _percents(parts: int) -> list[float]:
+    """Returns the ends of equal parts of a whole [%]."""
+    return [100 * (number + 1) / parts for number in range(parts)]
+
+
+def _plot_lines(lines: Lines, title: str, path: Path, marker: str = "", **settings: Any) -> Path:
+    """Draws a line for each name that has values; ``settings`` are those of matplotlib's ``Axes.set``."""
     figure = new_figure(6.5, 4.0)
     axes = figure.subplots()
-    for row, values in losses.items():
-        if values:
-            done = [100 * (number + 1) / len(values) for number in range(len(values))]
-            axes.plot(done, values, label=row.title)
-    axes.set(xlabel="share of the training [%]", ylabel="training loss / loss at the start", yscale="log")
+    for name, (x, y) in lines.items():
+        if y:
+            axes.plot(x, y, marker=marker, label=name)
+    axes.set(**settings)
     axes.legend(frameon=False, fontsize=7)
-    path = folder / "losses.png"
-    save_figure(figure, "Training loss, geometric mean over categories", path)
-    return path
-
-
-def _plot_tries(report: BenchmarkReport, curves: Mapping[Row, list[float]], folder: Path) -> Path:
-    """Draws the success of each method over the failed tries that an episode may have."""
-    figure = new_figure(6.5, 4.0)
-    axes = figure.subplots()
-    for row, shares in curves.items():
-        if shares:
-            axes.plot(range(len(shares)), [100 * share for share in shares], marker="o", label=row.title)
-    axes.set(xlabel="failed tries at most", ylabel=f"success [%], {report.splits[0]} objects", ylim=(0, 103))
-    axes.legend(frameon=False, fontsize=8)
-    path = folder / "tries.png"
-    save_figure(figure, f"Success within a number of failed tries, {report.scenes} scenes", path)
+    save_figure(figure, title, path)
     return path
 
 

@@ -21,15 +21,11 @@ else:
     Category = Literal[tuple(CATEGORIES)]
     CategoryOrAll = Literal[(*CATEGORIES, ALL)]
 
-_PLOT_FORMATS = (".png", ".pdf", ".svg")
 
-
-def check_plot(path: Path | None) -> None:
-    """Raises `ConfigurationError` for a file name with an unknown picture format."""
-    if path is not None and path.suffix.lower() not in _PLOT_FORMATS:
-        raise ConfigurationError(
-            "Unknown kind of picture.", got=path, allowed=", ".join(_PLOT_FORMATS), hint="curve.png"
-        )
+def require_suffix(path: Path, allowed: tuple[str, ...], hint: str) -> None:
+    """Raises `ConfigurationError` for a file name with another ending than the allowed ones, in any case."""
+    if path.suffix.lower() not in allowed:
+        raise ConfigurationError("Unknown kind of file.", got=path, allowed=", ".join(allowed), hint=hint)
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:

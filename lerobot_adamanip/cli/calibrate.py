@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 import lerobot_adamanip
-from lerobot_adamanip.cli.arguments import print_result
+from lerobot_adamanip.cli.arguments import print_result, require_suffix
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -93,10 +93,7 @@ class Calibrate:
     def _print_board(self, path: Path) -> int:
         from PIL import Image
 
-        if path.suffix.lower() != ".png":
-            raise ConfigurationError(
-                "The board must be a PNG picture.", got=path, allowed="a name that ends in .png", hint="board.png"
-            )
+        require_suffix(path, (".png",), "board.png")
         board = self._board()
         Image.fromarray(board.image(DOTS_PER_METRE)).save(path, dpi=(300, 300))
         size = f"{1e3 * board.columns * board.square:.0f} x {1e3 * board.rows * board.square:.0f} mm"

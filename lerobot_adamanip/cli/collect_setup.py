@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lerobot_adamanip.catalog import SEEN_COUNTS, object_split, select_objects
+from lerobot_adamanip.evaluation.text_format import counted
 from lerobot_adamanip.util.errors import GET_PICTURES, ConfigurationError, no_vulkan_device
 from lerobot_adamanip.util.jobs import preload
 
@@ -46,7 +47,7 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
     if unseen and ":" in selection:
         count = min(SEEN_COUNTS[each] for each in categories)
         raise ConfigurationError(
-            f"This range of objects includes {_count(len(unseen), 'unseen object')}, which are for tests.",
+            f"This range of objects includes {counted(len(unseen), 'unseen object')}, which are for tests.",
             got=f"--objects {selection}",
             allowed=f"numbers up to {count}, seen, unseen, novel, nFIRST:nEND, or ids separated by commas",
             hint=f"--objects 0:{count}, or --objects unseen",
@@ -56,12 +57,12 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
 
 def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | None) -> None:
     """Prints what will be recorded, and makes workers begin to import the simulator."""
-    episodes = _count(len(spec.objects) * spec.episodes_per_object, "episode")
+    episodes = counted(len(spec.objects) * spec.episodes_per_object, "episode")
     splits = Counter(object_split(name) or "external" for name in spec.objects)
     kinds = ", ".join(f"{number} {split}" for split, number in splits.items())
     share = "" if part is None else f"part {part} of "
-    where = f"on the cluster {cluster}" if cluster else f"starting {_count(workers, 'simulator')}"
-    objects = _count(len(spec.objects), "object")
+    where = f"on the cluster {cluster}" if cluster else f"starting {counted(workers, 'simulator')}"
+    objects = counted(len(spec.objects), "object")
     print(f"{share}{episodes} of {objects} ({kinds}), {where}", file=sys.stderr, flush=True)
     if cluster is None:
         preload(*_WORKER_MODULES)
@@ -148,7 +149,3 @@ def summary_text(summary: CollectSummary, part: str | None, adopted: Sequence[Pa
             rate = f"{row.episodes_per_worker_minute:.1f}" if row.recorded else "-"
             lines.append(f"{name:16} {row.episodes:8} {row.attempts:8} {row.mean_key_frames:10.1f} {rate:>21}")
     return "\n".join([*lines, *(f"missing: {line}" for line in summary.failures)])
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}{'s' * (number != 1)}"

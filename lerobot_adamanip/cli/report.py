@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from lerobot_adamanip.cli.arguments import check_plot, print_result
+from lerobot_adamanip.cli.arguments import print_result, require_suffix
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -91,7 +91,7 @@ class Report:
     def _check(self) -> None:
         results = [path for path in self.out if path.suffix.lower() == _RESULT]
         for path in self.out:
-            check_plot(None if path in results else path)
+            require_suffix(path, (".png", ".pdf", ".svg", _RESULT), "curve.png")
         if self.episodes is not None and self.episodes < 1:
             raise ConfigurationError("Nothing to count.", got=self.episodes, allowed=">= 1", hint="--episodes 100")
         if results and not self.command:

@@ -7,10 +7,7 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from lerobot_adamanip.cli.arguments import DatasetFolder
-from lerobot_adamanip.util.errors import ConfigurationError
-
-_KINDS = (".png", ".rrd")
+from lerobot_adamanip.cli.arguments import DatasetFolder, require_suffix
 
 
 @dataclass
@@ -32,10 +29,7 @@ class View:
     def run(self) -> int:
         """Reads the episode and writes it. Returns 0."""
         kind = self.out.suffix.lower()
-        if kind not in _KINDS:
-            raise ConfigurationError(
-                "Unknown kind of file.", got=self.out, allowed=" or ".join(_KINDS), hint="--out episode.png"
-            )
+        require_suffix(self.out, (".png", ".rrd"), "--out episode.png")
         from lerobot_adamanip.datasets.view.episode import read_episode
 
         with contextlib.redirect_stdout(sys.stderr):

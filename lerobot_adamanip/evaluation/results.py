@@ -38,7 +38,6 @@ class ResultRow:
         category: category, for instance ``safe``.
         objects: one of `OBJECT_SPLITS`.
         metrics: of these episodes; failed and unreachable ones count too.
-        train_minutes: training time; None if not measured.
     """
 
     subject: Annotated[str, LINE]
@@ -46,7 +45,6 @@ class ResultRow:
     category: Annotated[str, choice(tuple(CATEGORIES))]
     objects: Annotated[str, choice(OBJECT_SPLITS)]
     metrics: Annotated[Metrics, Metrics.from_json]
-    train_minutes: Annotated[float | None, optional(number(0, 10**6))] = None
 
     def to_json(self) -> dict[str, Any]:
         """Returns a flat JSON-serialisable dictionary."""
@@ -106,9 +104,7 @@ def check_command(command: str) -> str:
     return command
 
 
-def rows_of_records(
-    records: Sequence[EpisodeRecord], subject: str, train_minutes: float | None = None
-) -> list[ResultRow]:
+def rows_of_records(records: Sequence[EpisodeRecord], subject: str) -> list[ResultRow]:
     """Returns a row for each set of mechanism rules, category and split of objects in an evaluation."""
     found: dict[tuple[str, str, str], list[EpisodeRecord]] = {}
     for each in without_repeats(records):
@@ -118,7 +114,7 @@ def rows_of_records(
     def order(key: tuple[str, str, str]) -> tuple[str, int, int]:
         return key[0], tuple(CATEGORIES).index(key[1]), OBJECT_SPLITS.index(key[2])
 
-    return [ResultRow(subject, *key, measure(found[key]), train_minutes) for key in sorted(found, key=order)]
+    return [ResultRow(subject, *key, measure(found[key])) for key in sorted(found, key=order)]
 
 
 def make_result(

@@ -101,19 +101,16 @@ def success_table(result: ResultFile) -> str:
     """Returns success by subject, category and split of objects; adds means for subjects with several categories."""
     rows = result.rows
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in rows)]
-    trained = any(row.train_minutes is not None for row in rows)
     lines = []
     for subject, of_subject in _by_subject(rows).items():
         categories = _by_category(of_subject)
         for category, mine in categories.items():
             shown = {row.objects: row.metrics.show("success") for row in mine}
             lines.append([subject, words(category), *(shown.get(split, "-") for split in splits)])
-            if trained:
-                lines[-1].append(_minutes(mine))
         if len(categories) > 1:
             means = [_mean_success([row for row in of_subject if row.objects == each], categories) for each in splits]
-            lines.append([subject, f"mean of {len(categories)}", *means, *[""] * trained])
-    titles = [result.kind, "category", *(f"{split} objects" for split in splits), *["trained"] * trained]
+            lines.append([subject, f"mean of {len(categories)}", *means])
+    titles = [result.kind, "category", *(f"{split} objects" for split in splits)]
     return markdown_table(titles, lines)
 
 
@@ -140,11 +137,6 @@ def _by_category(rows: Iterable[ResultRow]) -> dict[str, list[ResultRow]]:
     for row in rows:
         found.setdefault(row.category, []).append(row)
     return found
-
-
-def _minutes(rows: Iterable[ResultRow]) -> str:
-    known = [row.train_minutes for row in rows if row.train_minutes is not None]
-    return f"{max(known):.0f} min" if known else "-"
 
 
 def _mean_success(rows: Sequence[ResultRow], categories: Collection[str]) -> str:

@@ -117,10 +117,6 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             allowed="a dataset in which `adamanip check` finds nothing",
             hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs damage from a crash",
         )
-    if re.fullmatch(r"v\d+\.\d+", version) is None:
-        raise DatasetError(
-            "This dataset names no version of LeRobot's format.", got=version[:40], allowed="v3.0", hint=str(root)
-        )
     _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
     if has_recorded_episodes(root):
         card = recorded_card(root, name, repo_id)

@@ -55,7 +55,7 @@ def test_a_folder_of_external_assets_is_checked(
         (["--objects", "4:4"], "Wrong selection"),
         (["--columns", "0"], "cannot be drawn"),
         (["--size", "5"], "cannot be drawn"),
-        (["--out", "sheet.txt"], "Unknown kind of picture"),
+        (["--out", "sheet.txt"], "Unknown kind of file"),
     ],
 )
 def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -158,7 +158,7 @@ def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pyt
         (["missing.jsonl"], "Cannot read the episode log"),
         ([], "No episode log"),
         (["LOG", "--label", "a", "b"], "Labels do not fit"),
-        (["LOG", "--out", "curve.doc"], "Unknown kind of picture"),
+        (["LOG", "--out", "curve.doc"], "Unknown kind of file"),
         (["LOG", "--episodes", "0"], "Nothing to count"),
         (["LOG", "--out", "result.json"], "A result needs its command"),
         (["LOG", "--out", "r.json", "--command", "lerobot-eval --x=/home/me/y"], "must run elsewhere"),

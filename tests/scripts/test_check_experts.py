@@ -43,9 +43,12 @@ def test_every_cell_has_as_many_episodes_and_both_experts_meet_the_same(capsys: 
     assert code == 0
     cells = [row for row in said["results"] if row["split"] != "all"]
     assert ({row["attempted"] for row in cells}, len(cells)) == ({9}, 2 * 9 * 2 * 2)
-    met = [{(e.preset, e.object_id, e.seed) for e in fake.seen if e.kind == kind} for kind in ("adaptive", "static")]
+    met = [
+        {(e.mechanism_rules, e.object_id, e.seed) for e in fake.seen if e.kind == kind}
+        for kind in ("adaptive", "static")
+    ]
     assert met[0] == met[1]
-    scenes = [(e.preset, e.kind, e.object_id, e.seed) for e in fake.seen]
+    scenes = [(e.mechanism_rules, e.kind, e.object_id, e.seed) for e in fake.seen]
     assert len(set(scenes)) == len(scenes)
     assert set(said) >= {"command", "commit", "fingerprint", "versions", "seeds", "results", "failures"}
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result
+from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result, require_suffix
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
@@ -63,9 +63,9 @@ class Objects:
             )
         if self.out is not None:
             from lerobot_adamanip.cli.collect_setup import require_renderer
-            from lerobot_adamanip.cli.objects.contact_sheet import compose_sheet, sheet_suffix
+            from lerobot_adamanip.cli.objects.contact_sheet import SUFFIXES, compose_sheet
 
-            sheet_suffix(self.out)
+            require_suffix(self.out, SUFFIXES, "--out objects.png")
             require_renderer()
         chosen, unusable = self._chosen()
         if self.out is not None and chosen:

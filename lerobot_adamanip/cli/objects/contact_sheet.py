@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from lerobot_adamanip.util.errors import ConfigurationError
-
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+"""Endings of a picture's name."""
 _GAP = 6
 _PAPER, _INK, _PENCIL = (250, 250, 250), (25, 25, 28), (105, 105, 110)
 
@@ -24,15 +23,6 @@ class Thumbnail(NamedTuple):
     image: NDArray[np.uint8]
     name: str
     description: str
-
-
-def sheet_suffix(path: Path) -> str:
-    """Returns the lower-case suffix of a picture's path. Raises `ConfigurationError` for another file type."""
-    if path.suffix.lower() in _SUFFIXES:
-        return path.suffix.lower()
-    raise ConfigurationError(
-        "Unknown kind of picture.", got=path, allowed=", ".join(_SUFFIXES), hint="--out objects.png"
-    )
 
 
 def compose_sheet(portraits: Sequence[Thumbnail], *, columns: int, path: Path) -> None:
