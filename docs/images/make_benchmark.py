@@ -18,6 +18,7 @@ from lerobot_env_adamanip.fingerprint import present_fingerprints
 SHOWN: Mapping[str, tuple[str, str, str]] = {
     "methods": ("success", "paper_table.toml", "cpu"),
     "paper": ("success", "paper_table.toml", "paper"),
+    "paper_losses": ("losses", "paper_table.toml", "paper"),
     "trials": ("trials", "paper_table.toml", "cpu"),
     "success": ("success", "default_policy.toml", "test"),
     "tries": ("tries", "default_policy.toml", "test"),
