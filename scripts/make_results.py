@@ -24,8 +24,8 @@ from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, res
 from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
-IN_README = ("demo.json", "experts.json")
-"""Result files for the README. docs/results.md shows all."""
+IN_README = ("demo.json",)
+"""Result files for the README, beside the means of the first scale. docs/results.md shows all."""
 SCALES = ("test", "paper", "cpu", "overfit")
 """Order of the scales on the page; others follow. The README has the means of the first."""
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
