@@ -7,6 +7,7 @@ from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
+from lerobot_adamanip.benchmark.report import least_to_most
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
@@ -74,11 +75,10 @@ def violations(results: Sequence[CellResult], present: Collection[str]) -> Itera
 
 def _seeds(results: Sequence[CellResult]) -> dict[tuple[str, str], list[int]]:
     """Returns the sorted training seeds of each category and split of objects."""
-    places = {(each.cell.category, each.cell.objects) for each in results}
-    return {
-        place: sorted(each.cell.seed for each in results if (each.cell.category, each.cell.objects) == place)
-        for place in places
-    }
+    found: dict[tuple[str, str], list[int]] = {}
+    for cell in sorted((each.cell for each in results), key=lambda cell: cell.seed):
+        found.setdefault((cell.category, cell.objects), []).append(cell.seed)
+    return found
 
 
 def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
@@ -119,9 +119,8 @@ def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:
     ]
     lines = []
     for means, name, results in rows:
-        trainings = sorted({len(seeds) for seeds in _seeds(results).values()})
-        shown = " to ".join(map(str, dict.fromkeys((trainings[0], trainings[-1]))))
-        lines.append([name, *(f"{100 * mean:.1f} %" for mean in means), shown])
+        trainings = least_to_most(map(len, _seeds(results).values()))
+        lines.append([name, *(f"{100 * mean:.1f} %" for mean in means), trainings])
     table = markdown_table(titles, lines) if lines else "No entry yet."
     explanation = (
         "Means over nine categories, each over all its trainings; the first column is of seen objects and decides the "

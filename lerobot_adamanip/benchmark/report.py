@@ -132,8 +132,7 @@ class BenchmarkReport:
     def trainings(self, method: str, objects: str) -> str:
         """Returns the number of trainings behind a mean: one number, or ``1 to 3``."""
         entries = [self.entry(method, category, objects) for category in self.categories]
-        numbers = sorted({len(each.seeds) for each in entries if each is not None})
-        return " to ".join(map(str, dict.fromkeys((*numbers[:1], *numbers[-1:]))))
+        return least_to_most(len(each.seeds) for each in entries if each is not None)
 
     def paired(
         self, methods: tuple[str, str], categories: Sequence[str], objects: str, min_outcome: str
@@ -188,6 +187,12 @@ class BenchmarkReport:
             labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
             made = {"result": f"benchmark/{self.scale}", "fingerprint": fingerprints[place]}
             yield {**made, **labels, "trainings": len(entry.seeds)}, entry.numbers
+
+
+def least_to_most(numbers: Iterable[int]) -> str:
+    """Returns the range of some numbers as text: ``1 to 3``, one number if they are equal, empty without any."""
+    ordered = sorted(numbers)
+    return " to ".join(map(str, dict.fromkeys((*ordered[:1], *ordered[-1:]))))
 
 
 def make_report(
