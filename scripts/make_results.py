@@ -1,6 +1,6 @@
 """Writes the results of docs and README: ``python scripts/make_results.py [--check]``.
 
-The documents are docs/results.md, docs/results.csv, docs/leaderboard.md and the README's block of results.
+The documents are docs/results.md, docs/results.csv, docs/leaderboard.md, and blocks in the README and two notes.
 The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. Numbers with another
 fingerprint than the current code are not in the README; docs/results.md marks or lists them.
 """
@@ -8,7 +8,7 @@ fingerprint than the current code are not in the README; docs/results.md marks o
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from itertools import chain
 from pathlib import Path
 
@@ -16,11 +16,12 @@ from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
+from lerobot_adamanip.benchmark.paired_text import effects_table
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
+from lerobot_adamanip.benchmark.report_text import benchmark_page, success_by_category, summary
 from lerobot_adamanip.benchmark.result import CellResult, read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
-from lerobot_adamanip.evaluation.results_page import csv_rows, readme_block, results_page, with_block
+from lerobot_adamanip.evaluation.results_page import END, START, csv_rows, readme_block, results_page, with_block
 from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
@@ -35,7 +36,12 @@ PICTURES = """![Success over the failed tries that an episode may have](images/b
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 """
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
-README, RESULTS = ROOT / "README.md", ROOT / "results"
+README, RESULTS, NOTES = ROOT / "README.md", ROOT / "results", ROOT / "docs" / "research"
+TABLES: dict[Path, tuple[str, Callable[[BenchmarkReport], str]]] = {
+    NOTES / "memory.md": ("test", effects_table),
+    NOTES / "paper_setting.md": ("paper", success_by_category),
+}
+"""Document -> scale and table of the block that it holds."""
 
 
 def read_results(folder: Path) -> dict[str, ResultFile]:
@@ -79,7 +85,17 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
     board = leaderboard_page(entries(folder, present))
     page = results_page(results, present, [PICTURES, *pages] if pages else [])
-    return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board}
+    notes = {
+        path: _with_table(path, table(report))
+        for path, (scale, table) in TABLES.items()
+        for report in reports
+        if report.scale == scale
+    }
+    return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board, **notes}
+
+
+def _with_table(path: Path, table: str) -> str:
+    return with_block(path.read_text(encoding="utf-8"), f"{START}\n{table}\n{END}")
 
 
 def main() -> int:

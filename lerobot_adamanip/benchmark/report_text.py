@@ -24,7 +24,7 @@ from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 _PAPER = f"the paper, {PAPER_OBJECTS}"
-OTHER_CODE, OTHER_OPTIONS = "†", "‡"
+OTHER_CODE, OTHER_OPTIONS, BELOW_PAPER = "†", "‡", " ↓"
 _LEGEND = (
     "Numbers are pooled over all trainings of a method, which see the same scenes. A mean weights all categories "
     "equally. The CSV file beside this page has counts, Wilson's 95 % intervals (without the spread between trainings) "
@@ -32,7 +32,7 @@ _LEGEND = (
 )
 _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
-    "the deviation measures."
+    "the deviation measures. ↓: below the paper's mean less its deviation."
 )
 _SUCCESS, _WITHIN = operator.attrgetter("success"), operator.attrgetter("within_best_tries")
 _MARKS = {
@@ -74,8 +74,8 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
         return
     if len(report.categories) > 1:
         yield "Mean success", _means(report)
-    yield "Success by category [%]", _by_category(report, _SUCCESS, report.beside_paper)
-    if within := _by_category(report, _WITHIN, beside_paper=False):
+    yield "Success by category [%]", success_by_category(report)
+    if within := _by_category(report, _WITHIN):
         yield f"{METRICS['within_best_tries'].title}, by category [%]".capitalize(), within
     if paired := paired_table(report):
         yield "In the same scenes", paired
@@ -132,24 +132,37 @@ def _mean(share: float | None) -> str:
     return "-" if share is None else f"{100 * share:.1f} %"
 
 
-def _by_category(report: BenchmarkReport, share: Callable[[Metrics], Rate | None], beside_paper: bool) -> str:
+def success_by_category(report: BenchmarkReport) -> str:
+    """Returns success in percent, a column a category, with the paper's rows if they stand beside."""
+    return _by_category(report, _SUCCESS, report.beside_paper)
+
+
+def _by_category(report: BenchmarkReport, share: Callable[[Metrics], Rate | None], beside_paper: bool = False) -> str:
     """Returns a table of a rate in percent, a column a category; empty without a result that has the rate."""
-    rows = []
+    rows, shown, categories = [], set(), report.categories_with_results
     for row, objects in itertools.product(report.rows_with_results, report.splits):
-        entries = [report.entry(row.name, category, objects) for category in report.categories_with_results]
-        cells = ["-" if entry is None else _percent(share(entry.numbers)) + _mark(entry) for entry in entries]
+        beside = beside_paper and objects == PAPER_OBJECTS
+        papers = [reported(row.paper, category) if beside else None for category in categories]
+        cells = [
+            _cell(report.entry(row.name, category, objects), share, paper)
+            for category, paper in zip(categories, papers, strict=True)
+        ]
         if any(cell[0] != "-" for cell in cells):
             rows.append([f"{method_name(row)}, {objects}", *cells])
-    for name in dict.fromkeys(row.paper for row in report.rows_with_results if row.paper and beside_paper):
-        values = [reported(name, category) for category in report.categories_with_results]
-        cells = ["-" if each is None else "{:.1f} ± {:.1f}".format(*each) for each in values]
-        rows.append([f"{name}, {_PAPER}", *cells])
-    return markdown_table(["method, objects", *map(words, report.categories_with_results)], rows) if rows else ""
+        if any(papers) and row.paper not in shown:
+            shown.add(row.paper)
+            values = ("-" if paper is None else "{:.0f} ± {:.0f}".format(*paper) for paper in papers)
+            rows.append([f"{row.paper}, {_PAPER}", *values])
+    return markdown_table(["method, objects", *map(words, categories)], rows) if rows else ""
 
 
-def _percent(share: Rate | None) -> str:
-    """Returns a rate in percent, with a decimal only where it needs one."""
-    return "-" if share is None or share.rate is None else f"{100 * share.rate:.1f}".removesuffix(".0")
+def _cell(entry: Entry | None, share: Callable[[Metrics], Rate | None], paper: tuple[float, float] | None) -> str:
+    """Returns a rate in percent with its marks; ``paper`` is the paper's mean and deviation [%]."""
+    rate = None if entry is None else share(entry.numbers)
+    if entry is None or rate is None or rate.rate is None:
+        return "-"
+    below = paper is not None and 100 * rate.rate < paper[0] - paper[1]
+    return f"{100 * rate.rate:.1f}".removesuffix(".0") + BELOW_PAPER * below + _mark(entry)
 
 
 def _mark(entry: Entry) -> str:
