@@ -23,7 +23,7 @@ CAPTIONS = {
     21: "pull: it opens",
 }
 """Key frame -> what it shows."""
-RENDERED, CROP, SIDE, BAR = 768, (0, 10, 740, 630), 300, 30
+RENDERED, CROP, SIDE, BAR = 768, (0, 34, 740, 630), 300, 30
 
 
 def frames() -> list[Image.Image]:
