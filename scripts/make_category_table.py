@@ -20,6 +20,10 @@ INTRODUCTION = f"""# Categories
 
 {GENERATED} Object counts are those of the paper's Table 1;
 success thresholds are those of its released code. Rules and the paper's wording: [mechanism rules](mechanism_rules.md).
+
+![Four of the seen objects of each category](images/objects.png)
+
+`adamanip objects --category all --objects 0:4 --columns 12 --size 124 --out docs/images/objects.png` draws this sheet.
 """
 
 

@@ -160,9 +160,11 @@ def test_links_exist_and_no_path_of_a_machine_is_named(document: str) -> None:
     assert not re.search(r"(?<![\w.])/(home|root|work|tmp|Users)/", text)
 
 
-def test_images_are_small() -> None:
-    for path in (ROOT / "docs" / "images").glob("*.*"):
+def test_images_are_small_and_shown() -> None:
+    shown = "".join(path.read_text(encoding="utf-8") for path in (ROOT / "docs").rglob("*.md"))
+    for path in (ROOT / "docs" / "images").glob("*.[pw]*[!y]"):
         assert path.stat().st_size < (3_000_000 if path.suffix == ".webp" else 600_000), path.name
+        assert f"images/{path.name})" in shown, path.name
 
 
 def table(name: str, document: str) -> list[list[str]]:
