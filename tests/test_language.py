@@ -9,7 +9,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 
 ROOT = Path(__file__).resolve().parents[1]
 MAX_COLUMNS, MAX_README_WORDS, MAX_PAGE_WORDS = 6, 1200, 1500
-APART = ("docs/decisions.md", "docs/research/", "docs/upstream/", "docs/cards/")
+APART = ("docs/research/", "docs/upstream/", "docs/cards/")
 """Records, and texts for others: as long as they are."""
 NUMBERS = "docs/results.md"
 """Tables of numbers: as long as there are results, with a column for each category."""

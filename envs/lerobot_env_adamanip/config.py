@@ -52,7 +52,8 @@ class AdaManipEnvConfig(EnvConfig):
     disable_env_checker: bool = True
     # Key frames per second of a recorded video. A step is one key frame, so this is not a control rate.
     fps: int = FPS
-    # Objects: seen (the paper's number), unseen (the next 20), FIRST:END, or ids separated by commas.
+    # Objects: seen (the paper's number), unseen (the next 20), novel, FIRST:END, nFIRST:nEND (novel ones), or ids
+    # separated by commas.
     objects: str = "seen"
     # Folder of external assets to use (AdaManip, UniDoorManip or PartNet-Mobility), see docs/annotate.md.
     assets: str | None = None

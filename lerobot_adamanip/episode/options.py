@@ -44,7 +44,8 @@ class EnvironmentOptions:
 
     Attributes:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`.
-        objects: ``seen``, ``unseen``, ``FIRST:END`` or ids; an episode's seed selects one of them.
+        objects: ``seen``, ``unseen``, ``novel``, ``FIRST:END``, ``nFIRST:nEND`` or ids; an episode's seed
+            selects one of them.
         assets: folder of external assets to use instead of generated objects; then ``seen`` means all of them.
         num_points: points per cloud.
         image_size: side of the front image [px].

@@ -36,6 +36,7 @@ class FakeOptions:
     wall: float = 10.0
     log: str = ""
     connect_takes: float = 0.0
+    flags: tuple[str, ...] = ()
 
 
 class FakeBackend:
@@ -49,7 +50,7 @@ class FakeBackend:
         self._outcome: Outcome | None = None
         self._keyframe_ends: float | None = None
         self._time, self._frozen, self._lost, self._refuses = 0.0, False, False, 0
-        self._flags: tuple[str, ...] = ()
+        self._flags = options.flags
         self._targets: list[list[float]] = []
         self._moving, self._stop_takes = False, 0.0
         self._log = open(options.log, "a", buffering=1, encoding="utf-8") if options.log else None  # noqa: SIM115

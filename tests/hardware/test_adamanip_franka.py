@@ -52,10 +52,12 @@ class FakeFranka(AdamanipFranka):
 def make(tmp_path: Path) -> Iterator[Callable[..., FakeFranka]]:
     robots: list[FakeFranka] = []
 
-    def make(server: ServerOptions = PATIENT, wall: float = 0.7, **options: Any) -> FakeFranka:
+    def make(
+        server: ServerOptions = PATIENT, wall: float = 0.7, flags: tuple[str, ...] = (), **options: Any
+    ) -> FakeFranka:
         config = AdamanipFrankaConfig(id="test", calibration_dir=tmp_path, **{**BOX, **options})
         robot = FakeFranka(config)
-        robot.server, robot.options = server, {"wall": wall}
+        robot.server, robot.options = server, {"wall": wall, "flags": flags}
         robots.append(robot)
         return robot
 
@@ -193,6 +195,22 @@ def test_a_reflex_is_raised_with_its_flags_and_recovered_by_hand(make: Callable[
     robot.recover()
     robot.get_observation()
     assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)  # begins where it is
+
+
+def test_a_reflex_of_an_earlier_command_is_cleared_on_connecting_only_if_asked(make: Callable[..., FakeFranka]) -> None:
+    left = ("joint_reflex",)
+    with pytest.raises(RobotError, match=r"(?s)joint_reflex.*recover_on_connect=true"):
+        make(flags=left).connect()
+    robot = make(flags=left, recover_on_connect=True)
+    robot.connect()
+    start = pose_of(robot.get_observation())
+    assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)
+
+
+def test_a_lead_that_pulls_as_hard_as_the_reflex_is_refused(tmp_path: Path) -> None:
+    options = {"address": "172.16.0.2", "model": "fr3", "calibration_dir": tmp_path, **BOX}
+    with pytest.raises(ConfigurationError, match=r"(?s)0.06 m x stiffness 1000 N/m = 60 N.*below collision_force"):
+        AdamanipFranka(AdamanipFrankaConfig(lead=0.06, **options)).connect()
 
 
 def test_nothing_is_answered_before_connecting_or_after_disconnecting(make: Callable[..., FakeFranka]) -> None:

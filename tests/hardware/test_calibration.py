@@ -205,12 +205,20 @@ class FakeRobot:
 
     def __init__(self, known: Truth) -> None:
         self.known, self.at, self.creeps, self.frozen, self.blank = known, 0, 0.0, False, False
+        self.guided, self.in_hand = False, False
         self.cameras: dict[str, Any] = {"front": FakeCamera(self), "phone": object()}
 
     def picture(self) -> NDArray[np.uint8]:
         return np.zeros((480, 640), np.uint8) if self.blank else rendered(self.known.board_in_camera[self.at])
 
+    def recover(self) -> None:
+        if self.in_hand:
+            raise RobotError("The arm is being guided by hand.")
+        self.guided = False
+
     def get_observation(self) -> dict[str, Any]:
+        if self.guided:
+            raise RobotError("The arm is being guided by hand: a fault until it is cleared.")
         pose = self.known.tcp_in_base[self.at]
         self.known.tcp_in_base[self.at] = transform((self.creeps, 0, 0)) @ pose
         return dict(zip(POSE_NAMES, pose_vector(pose, 1.0).tolist(), strict=True))
@@ -221,6 +229,9 @@ def test_pictures_are_taken_with_a_robot_and_only_good_ones_kept(tmp_path: Path)
     robot, told = FakeRobot(known), []
 
     def person() -> Iterator[bool]:
+        robot.guided = robot.in_hand = True
+        yield True  # too early
+        robot.in_hand = False
         yield True  # at pose 0
         robot.creeps = 0.002
         yield True  # the arm creeps
@@ -239,6 +250,7 @@ def test_pictures_are_taken_with_a_robot_and_only_good_ones_kept(tmp_path: Path)
     kept = ViewFolder.open(tmp_path)
     assert len(folder.tcp_in_base) == len(kept.tcp_in_base) == 2
     expected = [
+        "The arm is being guided by hand.",
         "1 pictures; 24 corners in this one",
         "the arm moved",
         "the board is not seen",

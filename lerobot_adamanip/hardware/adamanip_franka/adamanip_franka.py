@@ -137,7 +137,10 @@ class AdamanipFranka(Robot):
                 handler.addFilter(self._slow_loop)
         execution, time_limit = Execution(self.config.execution), self.config.motion_time
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), execution, time_limit)
-        self._driver.anchor()
+        if self.config.recover_on_connect:
+            self._driver.recover()
+        else:
+            self._driver.anchor()
         self._read_calibrations()
 
     def _safety_limits(self) -> SafetyLimits:
@@ -157,6 +160,13 @@ class AdamanipFranka(Robot):
         """Returns the arm process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
         options = FrankyOptions(**{each.name: getattr(self.config, each.name) for each in fields(FrankyOptions)})
         options.check()
+        if (force := self.config.lead * self.config.stiffness) >= self.config.collision_force:
+            raise ConfigurationError(
+                "A teleoperated pull would trigger the arm's reflex.",
+                got=f"lead {self.config.lead:g} m x stiffness {self.config.stiffness:g} N/m = {force:g} N",
+                allowed=f"below collision_force ({self.config.collision_force:g} N)",
+                hint="a smaller --robot.lead or --robot.stiffness",
+            )
         return ArmClient(FRANKY, options, server=self._server_options())
 
     def _server_options(self, lockstep_fps: float | None = None) -> ServerOptions:

@@ -58,6 +58,9 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     motion_time: float = 60.0
     """Maximum duration of a key frame with its gripper command [s]. A longer one raises an error."""
 
+    recover_on_connect: bool = False
+    """Whether connecting clears a reflex of an earlier command. Nothing moves. Look first at what the arm touched."""
+
     def __post_init__(self) -> None:
         """Raises `AdaManipError` for an invalid option."""
         RobotConfig.__post_init__(self)

@@ -165,7 +165,8 @@ class ArmClient:
         """Returns the newest status of a healthy arm. Raises `RobotError` for a fault, or as `status` does."""
         status = self.status()
         if status.fault is not None:
-            hint = "disconnect and connect again" if status.lost else "check the arm, then recover it"
+            recover = "check the arm, then --robot.recover_on_connect=true"
+            hint = "disconnect and connect again" if status.lost else recover
             mode = "no state" if status.reading is None else status.reading.mode.name
             raise RobotError(status.fault, got=mode, allowed="no fault: nothing is accepted until then", hint=hint)
         return status

@@ -96,13 +96,13 @@ def take_views(
     import cv2
 
     while ask():
-        before = tcp_in_base(robot.get_observation())
         try:
+            before = _pose_after_guiding(robot)
             frame = camera.frame_after(time.perf_counter(), FRAME_TIMEOUT)
+            after = tcp_in_base(robot.get_observation())
         except RobotError as error:
             tell(str(error))
             continue
-        after = tcp_in_base(robot.get_observation())
         if (
             np.linalg.norm(after[:3, 3] - before[:3, 3]) > MOVED
             or angle_between(after[:3, :3], before[:3, :3]) > TURNED
@@ -118,6 +118,15 @@ def take_views(
         folder = folder.added(frame.color, after)
         tell(f"{len(folder.tcp_in_base)} pictures; {corners} corners in this one")
     return folder
+
+
+def _pose_after_guiding(robot: Any) -> NDArray[np.float64]:
+    """Returns the tool pose (4, 4) [m]. Clears the fault that guiding leaves; raises `RobotError` for others."""
+    try:
+        return tcp_in_base(robot.get_observation())
+    except RobotError:
+        robot.recover()
+        return tcp_in_base(robot.get_observation())
 
 
 def tcp_in_base(observation: Mapping[str, Any]) -> NDArray[np.float64]:
