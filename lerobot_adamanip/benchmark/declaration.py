@@ -38,8 +38,13 @@ _COUNT = integer(1, 10**8)
 _OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
 _CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
 _SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
-_OPTIONS = listing(text(r"--[a-z][\w.-]*=[^\r\n`]{0,400}", "an option --NAME=VALUE"), 0, 60)
-_POLICY_OPTIONS = listing(text(r"--policy\.[a-z][\w.]*=[^\r\n`]{0,400}", "an option --policy.NAME=VALUE"), 0, 60)
+_ALLOWED = r"--(?!output_dir=|config_path=|[\w.]*(?:discover_packages_path|push_to_hub)=)"
+"""Start of an option that chooses no folder, imports no package and publishes nothing."""
+_VALUE = r"=[^\r\n`]{0,400}"
+_OPTIONS = listing(
+    text(rf"{_ALLOWED}[a-z][\w.-]*{_VALUE}", "an option --NAME=VALUE of no folder, package or push"), 0, 60
+)
+_POLICY_OPTIONS = listing(text(rf"{_ALLOWED}policy\.[a-z][\w.]*{_VALUE}", "an option --policy.NAME=VALUE"), 0, 60)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
+from lerobot_adamanip.collection.pipelines import pipeline_steps
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.observation import Observation, observation_columns
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -47,6 +48,9 @@ class TrainedPolicy:
     Args:
         path: folder ``pretrained_model`` of a checkpoint.
         device: PyTorch device.
+
+    Raises:
+        ConfigurationError: a pipeline is missing or damaged, or has steps that are not registered.
     """
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
@@ -55,6 +59,15 @@ class TrainedPolicy:
         from lerobot.utils.import_utils import register_third_party_plugins
 
         register_third_party_plugins()
+        try:
+            pipeline_steps(path)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+            raise ConfigurationError(
+                "The pipelines of this checkpoint cannot be used.",
+                got=f"{path}: {error}"[:400],
+                allowed="both pipelines, with steps that LeRobot or an installed plugin has registered",
+                hint="save the checkpoint again with lerobot-train",
+            ) from error
         config = PreTrainedConfig.from_pretrained(str(path))
         config.device, config.pretrained_path = device, path
         self._policy: Any = get_policy_class(config.type).from_pretrained(str(path), config=config)

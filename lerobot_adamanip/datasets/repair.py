@@ -42,8 +42,8 @@ class Repair:
 
     def lines(self) -> list[str]:
         """Returns the result as text."""
-        told = [f"mended: {line}" for line in self.mended] + [f"cannot be mended: {line}" for line in self.left]
-        return told + ([f"what was there before: {self.backup}"] if self.backup.exists() else [])
+        told = [f"repaired: {line}" for line in self.mended] + [f"cannot be repaired: {line}" for line in self.left]
+        return told + ([f"the originals: {self.backup}"] if self.backup.exists() else [])
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

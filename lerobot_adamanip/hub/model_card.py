@@ -153,7 +153,7 @@ def _training(training: Mapping[str, Any], dataset: str | None) -> str:
         return "How it was trained is not recorded."
     options = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
     source = f"`{dataset}`" if dataset else "a dataset that is not published"
-    return f"On {source}: {options}. `train_config.json` holds every option; where things lay is left out."
+    return f"On {source}: {options}. `train_config.json` holds every option; local paths are removed from it."
 
 
 def train_command(training: Mapping[str, Any], kind: str, env_type: str, dataset: str | None) -> str:

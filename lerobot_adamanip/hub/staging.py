@@ -13,6 +13,7 @@ from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
+from lerobot_adamanip.collection.pipelines import PIPELINES, pipeline_steps
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.cards.collected import dataset_card
 from lerobot_adamanip.datasets.cards.recorded import has_recorded_episodes, recorded_card
@@ -27,7 +28,6 @@ from lerobot_adamanip.hub.scan import Names, require_clean
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError, listed
 
-PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
 _DATASET = ("meta/", "data/", "videos/")
 _MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
 """Name prefixes of a checkpoint's weights, pipelines and pipeline states."""
@@ -202,7 +202,7 @@ def _check_checkpoint(folder: Path) -> list[str]:
         for name in ("config.json", "train_config.json"):
             if not isinstance(json_fields.read(folder / name), dict):
                 raise ValueError(f"{name} is no JSON object")
-        states = [state for name in PIPELINES for state in _state_files(json_fields.read(folder / name))]
+        states = list(_state_files(pipeline_steps(folder)))
         for name in ("model.safetensors", *states):
             if not (folder / name).is_file():
                 raise ValueError(f"no {name}")
@@ -222,8 +222,8 @@ def _check_checkpoint(folder: Path) -> list[str]:
     return states
 
 
-def _state_files(pipeline: Any) -> Iterator[str]:
-    for name in (step.get("state_file") for step in pipeline["steps"]):
+def _state_files(steps: Iterable[dict[str, Any]]) -> Iterator[str]:
+    for name in (step.get("state_file") for step in steps):
         if name is not None:
             if not isinstance(name, str) or _STATE_FILE.fullmatch(name) is None:
                 raise ValueError(f"{str(name)[:80]!r} is no file of states")

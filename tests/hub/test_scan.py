@@ -12,10 +12,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from lerobot_adamanip.collection.trained_policy import TrainedPolicy
 from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean, scan
 from lerobot_adamanip.hub.staging import stage_dataset, stage_model
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 ME = Names(user=("wanda",), host=("quokka-ws4",), folders=("/srv/fast/wanda7",))
@@ -143,6 +144,17 @@ def test_a_checkpoint_that_lacks_something_is_one_clear_error(
     mine = shutil.copytree(trained, tmp_path / "mine")
     (mine / lost).unlink()
     assert f"no {lost}" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+
+
+def test_a_checkpoint_whose_pipeline_names_a_function_to_call_is_refused(
+    trained: Path, tmp_path: Path, refuses: Refuses
+) -> None:
+    mine = shutil.copytree(trained, tmp_path / "mine")
+    step = {"class": "os.system", "config": {"command": f"touch {tmp_path / 'ran'}"}}
+    (mine / "policy_postprocessor.json").write_text(json.dumps({"name": "x", "steps": [step]}))
+    assert "os.system" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+    assert "os.system" in refuses(ConfigurationError, lambda: TrainedPolicy(mine))
+    assert not (tmp_path / "ran").exists()
 
 
 def test_a_checkpoint_that_is_cut_or_names_a_path_is_one_clear_error(

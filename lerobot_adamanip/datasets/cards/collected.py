@@ -48,6 +48,7 @@ COLUMNS = {
 """Column -> meaning."""
 _SIZES = (
     (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"),
+    (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B"),
 )  # fmt: skip
 """Number of rows, and the Hub's size category for datasets with fewer rows."""
 
@@ -83,7 +84,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
 def common_fields(info: dict[str, Any], name: str, repo_id: str, episodes: int) -> dict[str, object]:
     """Returns the fields of every dataset's card: header, numbers, columns and citation."""
     rows = info["total_frames"]
-    size = next((text for most, text in _SIZES if rows < most), "n>1T")
+    size = next((text for most, text in _SIZES if rows < most), "1B<n<10B")
     header = {
         "license": LICENSE,
         "task_categories": ["robotics"],
@@ -161,6 +162,7 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
     tries = Counter(record["failed_tries"] for record in records)
     opened = Counter(record["failed_tries"] for record in records if record["success"])
     kept = {0: "Only episodes that failed are in it", len(records): "Only episodes that ended in success are in it"}
+    versions = (pair for record in records for pair in record["versions"].items())
     return {
         "split": "" if successes else ", failed episodes",
         "kept": kept.get(successes, f"{successes} of its episodes ended in success"),
@@ -168,7 +170,7 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
         "late": sum(record["late"] for record in records),
         "recovered": sum(count for failed, count in opened.items() if failed),
         "trial_table": "\n".join(f"| {failed} | {tries[failed]} | {opened[failed]} |" for failed in sorted(tries)),
-        "versions": ", ".join(f"{name} {version}" for name, version in sorted(records[0]["versions"].items())),
+        "versions": ", ".join(dict.fromkeys(f"{name} {version}" for name, version in sorted(versions))),
     }
 
 
