@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
+from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, FOLDERS, TRAIN, last_checkpoint
 from lerobot_adamanip.benchmark.report import least_to_most
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -23,10 +23,13 @@ SCENES = (700000, 700099)
 FIXED: Mapping[str, str] = {
     "--env.split": "test",
     "--seed": str(SCENES[0]),
+    "--eval.n_episodes": str(EPISODES),
     "--env.poses": "randomized",
     "--env.mechanism_rules": "paper",
 }
 """Options of every entry's evaluations."""
+_MADE = ("--dataset.root", "--policy.path", "--policy")
+"""Options whose values are products of earlier steps."""
 RULE = f"""An entry is a folder of result files, by pull request to `results/leaderboard/NAME/`. `adamanip benchmark`
 makes them: copy `lerobot_adamanip/benchmark/default_policy.toml` to `mine.toml`, add a table `[methods.mine]`
 ([fields](benchmark.md#the-declaration)), and run, in a checkout without changes:
@@ -40,11 +43,11 @@ python scripts/check_entry.py results/leaderboard/NAME
 For paired differences to `dp3_adaptive`, copy `results/benchmark/test/corrected-*.json` to
 `outputs/benchmark/test/cells`, and run the command with `--report`.
 
-- All nine categories on seen, unseen and novel objects, {EPISODES} episodes each, of training seed {FIRST_SEED}.
-  Further trainings may be of some categories: seeds {FIRST_SEED + 1}, {FIRST_SEED + 2} and so on, none left out.
+- All nine categories on seen, unseen and novel objects, {EPISODES} episodes each, of training seed {FIRST_SEED}; it
+  decides the order. Further trainings may be of some categories: seeds {FIRST_SEED + 1}, {FIRST_SEED + 2} and so on.
 - `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and of the other
   options of the environment only objects, num_points, image_size, observe_images and episode_log.
-- A policy that was trained, on demonstrations of seen objects alone.
+- A policy that the entry's own steps trained, on demonstrations of seen objects alone; one for all objects.
 - A commit without changes, and the present simulator and mechanisms: an entry leaves the page when these change.
 
 Choose your method on validation scenes, and run the test scenes once. In this project's row two choices were made with
@@ -65,6 +68,11 @@ def violations(results: Sequence[CellResult], present: Collection[str]) -> Itera
         yield from (f"{result.cell.name}: {reason}" for reason in _of_cell(result, present))
     if len(methods := sorted({result.cell.method for result in results})) > 1:
         yield f"several methods: {', '.join(methods)}"
+    policies: dict[tuple[str, int], set[tuple[str, ...]]] = {}
+    for result in results:
+        keys = tuple(step.key for name, step in result.steps.items() if name.partition("_")[0] == TRAIN)
+        policies.setdefault((result.cell.category, result.cell.seed), set()).add(keys)
+    yield from (f"{name}: several policies of seed {seed}" for (name, seed), keys in policies.items() if len(keys) > 1)
     found = _seeds(results)
     for place in itertools.product(CATEGORIES, OBJECT_SPLITS):
         seeds = found.get(place, [])
@@ -84,20 +92,18 @@ def _seeds(results: Sequence[CellResult]) -> dict[tuple[str, str], list[int]]:
 def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
     cell, numbers = result.cell, result.numbers
     options = result.evaluation_options.items()
-    given = {name: value for name, value in options if name.startswith("--env") or name in ("--seed", "--config_path")}
+    given = {name: value for name, value in options if name.startswith("--env") or name in (*FIXED, "--config_path")}
     expected = {**FIXED, "--env.type": f"adamanip_{cell.category}", "--env.objects": cell.objects}
     for name, value in expected.items():
         if given.get(name) != value:
             yield f"{name}={given.get(name)}, not {value}"
     if others := sorted(set(given) - {*expected, *OBSERVATION_OPTIONS}):
         yield f"{', '.join(others)} must keep the default"
-    if numbers.success.episodes != EPISODES or numbers.within_best_tries is None:
+    if {len(result.outcomes), len(result.failed_tries), numbers.success.episodes} != {EPISODES}:
         yield f"{counted(numbers.success.episodes, 'episode')}, not {EPISODES}, or without their tries"
     if result.scene_seeds != SCENES:
         yield f"scenes {result.scene_seeds[0]} to {result.scene_seeds[1]}, not {SCENES[0]} to {SCENES[1]}"
-    recorded = {each.get("--objects") for kind in (COLLECT, CORRECT) for _, each in result.options_of(kind)}
-    if TRAIN not in result.steps or recorded != {"seen"}:
-        yield "without a training on demonstrations of seen objects"
+    yield from _of_training(result)
     if cell.trials is not None:
         yield "part of a curve over trials"
     if result.changed or result.commit is None:
@@ -106,25 +112,43 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
         yield "made with another simulator or other mechanisms than the present ones"
 
 
+def _of_training(result: CellResult) -> Iterator[str]:
+    trainings, steps = dict(result.options_of(TRAIN)), [(COLLECT, CORRECT), (TRAIN, CORRECT)]
+    recorded, trained = ([each for kind in kinds for _, each in result.options_of(kind)] for kinds in steps)
+    if not trainings or {each.get("--objects") for each in recorded} != {"seen"}:
+        yield "without a training on demonstrations of seen objects"
+        return
+    if (seeds := {each.get("--seed") for each in trainings.values()}) != {str(result.cell.seed)}:
+        yield f"trained with seed {', '.join(map(str, seeds))}, not {result.cell.seed}"
+    made = tuple(f"{FOLDERS[name.partition('_')[0]]}/{step.key}" for name, step in result.steps.items())
+    used = [value for each in trained for name in _MADE if (value := each.get(name)) is not None]
+    if others := [each for each in used if not each.startswith(made) or ".." in each]:
+        yield f"{', '.join(others)}: not made by the entry's own steps"
+    last = last_checkpoint(f"{FOLDERS[TRAIN]}/{result.steps[list(trainings)[-1]].key}")
+    if result.evaluation_options.get("--policy.path") != str(last):
+        yield "evaluates another policy than that of its last training"
+
+
 def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:
     """Returns the leaderboard as Markdown; ``entries`` are the result files of each, best first on the page."""
-    rows = sorted(
-        ((_means(results), name, results) for name, results in entries.items()), key=lambda row: row[0], reverse=True
-    )
+    rows = []
+    for name, results in entries.items():
+        means = _means([each for each in results if each.cell.seed == FIRST_SEED])
+        trainings = least_to_most(map(len, _seeds(results).values()))
+        shown = [f"{100 * mean:.1f} %" for mean in (*means, _means(results)[0])]
+        rows.append((means, [name, *shown[:-1], f"{shown[-1]} ({trainings})"]))
+    lines = [line for _, line in sorted(rows, reverse=True)]
+    within = METRICS["within_best_tries"].title
     titles = [
         "entry",
-        METRICS["within_best_tries"].title,
-        *(f"opened, {objects}" for objects in OBJECT_SPLITS),
-        "trainings",
+        f"{within}, seen",
+        *(f"opened, {each}" for each in OBJECT_SPLITS),
+        "the first over all trainings",
     ]
-    lines = []
-    for means, name, results in rows:
-        trainings = least_to_most(map(len, _seeds(results).values()))
-        lines.append([name, *(f"{100 * mean:.1f} %" for mean in means), trainings])
     table = markdown_table(titles, lines) if lines else "No entry yet."
     explanation = (
-        "Means over nine categories, each over all its trainings; the first column is of seen objects and decides the "
-        "order."
+        f"Means over nine categories, of training seed {FIRST_SEED}; the first column decides the order. The last "
+        "one is over all trainings, with their number."
     )
     return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"
 

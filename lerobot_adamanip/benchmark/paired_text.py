@@ -14,9 +14,9 @@ from lerobot_adamanip.evaluation.text_format import markdown_table, words
 _GAPS = ("opened", "by training", METRICS["within_best_tries"].title, "by training")
 _PAIRED_LEGEND = (
     "in points: mean over scenes and trainings, with a 95 % interval over scenes. The interval excludes the spread "
-    "between trainings; the next column shows each training's difference. Intervals are not corrected for the number "
-    "of comparisons; two added scenes keep them from collapsing where methods agree. A training in which one "
-    "of the two lacks a category, or has other scenes, is left out."
+    "between trainings, which share their demonstrations; the next column shows each training's difference. Intervals "
+    "are not corrected for the number of comparisons; two added scenes keep them from collapsing where methods agree. "
+    "A training in which one of the two lacks a category, or has other scenes, is left out."
 )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 
 from lerobot_adamanip.benchmark.budget import budget_table
 from lerobot_adamanip.benchmark.paired_text import effects_table, method_name, paired_table, title_of
@@ -18,7 +18,7 @@ from lerobot_adamanip.benchmark.paper_rates import (
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry
 from lerobot_adamanip.benchmark.result import StepCost
 from lerobot_adamanip.benchmark.run import WORDS
-from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
@@ -27,8 +27,9 @@ _PAPER = f"the paper, {PAPER_OBJECTS}"
 OTHER_CODE, OTHER_OPTIONS, BELOW_PAPER = "†", "‡", " ↓"
 _LEGEND = (
     "Numbers are pooled over all trainings of a method, which see the same scenes. A mean weights all categories "
-    "equally. The CSV file beside this page has counts, Wilson's 95 % intervals (without the spread between trainings) "
-    "and all metrics of each category, also by hidden value."
+    "equally. The CSV file beside this page has counts, Wilson's 95 % intervals and all metrics of each category, also "
+    "by hidden value. These intervals take all episodes as independent, so they are too narrow where several trainings "
+    "see the same scenes."
 )
 _PAPER_LEGEND = (
     "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
@@ -54,16 +55,15 @@ def summary(report: BenchmarkReport) -> str:
     """Returns the means of the methods that have results of all categories, as a short table; empty without any."""
     rows = []
     for row in report.rows_with_results:
-        means = [report.mean(row.name, "seen"), report.mean(row.name, "seen", _WITHIN)]
-        means += [report.mean(row.name, objects) for objects in report.splits if objects != "seen"]
-        if means[0] is not None:
-            rows.append([method_name(row), *map(_mean, means), report.trainings(row.name, "seen")])
-    others = [f"opened, {objects}" for objects in report.splits if objects != "seen"]
-    titles = ["method", "opened, seen objects", f"{METRICS['within_best_tries'].title}, seen", *others, "trainings"]
+        means = [(report.mean(row.name, each), report.mean(row.name, each, _WITHIN)) for each in report.splits]
+        if means[0][0] is not None:
+            shown = ["-" if opened is None else f"{_mean(opened)}, {_mean(within)}" for opened, within in means]
+            rows.append([method_name(row), *shown, report.trainings(row.name, report.splits[0])])
+    titles = ["method", *(f"{objects} objects: opened, within" for objects in report.splits), "trainings"]
     number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
     explanation = (
         f"Means over {len(report.categories)} categories, {number} of each, {report.scenes} scenes. A category's "
-        "number is over all its trainings, which see the same scenes."
+        f"number is over all its trainings, which see the same scenes. *Within*: {METRICS['within_best_tries'].title}."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
 
@@ -204,20 +204,24 @@ def _tries(report: BenchmarkReport) -> str:
     rows = []
     for row, objects in itertools.product(report.rows, report.splits):
         if found := report.numbers(row.name, report.categories, (objects,)):
-            metrics = pool(found)
-            new_after_one = (metrics.untried or {}).get(1)
-            shares = [_share(each) for each in (metrics.repeated, new_after_one)]
-            rows.append([method_name(row), objects, str(len(found)), metrics.show("wasted_tries"), *shares])
+            wasted = _known_mean(each.wasted_tries.value for each in found if each.wasted_tries)
+            repeated = _known_mean(each.repeated.rate for each in found if each.repeated)
+            new = _known_mean(after_one.rate for each in found if (after_one := (each.untried or {}).get(1)))
+            shares = ["-" if each is None else f"{100 * each:.0f} %" for each in (repeated, new)]
+            shown = "-" if wasted is None else f"{wasted:.2f}"
+            rows.append([method_name(row), objects, str(len(found)), shown, *shares])
     titles = ["method", "objects", "categories", "wasted tries", "failed tries repeated", "new after a failed try"]
     explanation = (
-        "Over all episodes of a method. Wasted tries are the failed tries per success minus those of the best strategy "
-        "that cannot see the hidden state either."
+        "Means over the categories that have a value, equally weighted. Wasted tries are the failed tries per success "
+        "minus those that a strategy without sight of the hidden state must expect. New after a failed try: after one "
+        "kind of failed try since the last motion."
     )
     return f"{markdown_table(titles, rows)}\n\n{explanation}"
 
 
-def _share(share: Rate | None) -> str:
-    return "-" if share is None else interval_text(share)
+def _known_mean(values: Iterable[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if known else None
 
 
 def _costs(report: BenchmarkReport) -> str:

@@ -16,7 +16,7 @@ from lerobot_adamanip.benchmark.declaration import NAME, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step
 from lerobot_adamanip.benchmark.training_log import TrainingLog
 from lerobot_adamanip.evaluation.metrics import Metrics
-from lerobot_adamanip.evaluation.paired import FAILED, WITHIN_TRIES
+from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
 from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, Origin
 from lerobot_adamanip.evaluation.results import check_command
 from lerobot_adamanip.util.errors import DatasetError
@@ -165,6 +165,12 @@ def _check_outcomes(found: CellResult) -> None:
     if lengths - {numbers.success.episodes}:
         raise ValueError(f"outcomes and failed_tries are not of {numbers.success.episodes} episodes")
     within = numbers.within_best_tries
+    if within and (within.episodes != numbers.success.episodes or within.count > numbers.success.count):
+        raise ValueError("more episodes, or successes, are within the best strategy's tries than there are")
     opened = len(outcomes) - outcomes.count(FAILED)
     if outcomes and (opened, outcomes.count(WITHIN_TRIES)) != (numbers.success.count, within.count if within else 0):
         raise ValueError("outcomes are not those of the metrics")
+    tries = [(outcome, int(count)) for outcome, count in zip(outcomes, found.failed_tries, strict=False)]
+    most = max((count for outcome, count in tries if outcome == WITHIN_TRIES), default=0)
+    if any(outcome == OPENED and count <= most for outcome, count in tries):
+        raise ValueError("outcomes contradict failed_tries")

@@ -57,8 +57,8 @@ PRESETS: dict[str, dict[str, Any]] = {
 memory of contact events and refinement.
 
 ``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
-``--policy.down_dims='[128,256,384]'`` gives the release's Simple DP3, which a CPU can train. Two things differ: the
-state has no layers of its own, and a chunk begins at the present step, not one before.
+``--policy.down_dims='[128,256,384]'`` gives the widths of the release's Simple DP3, which a CPU can train; LeRobot's
+U-Net has twice its residual blocks. What else differs from the release: docs/differences.md.
 ``paper``: the paper's table of parameters, except for ``--batch_size=64``. Values missing in the table are those of the
 paper's code.
 """
