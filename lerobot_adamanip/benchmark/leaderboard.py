@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import operator
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
@@ -70,7 +71,7 @@ def violations(results: Sequence[CellResult], present: Collection[str]) -> Itera
         yield f"several methods: {', '.join(methods)}"
     policies: dict[tuple[str, int], set[tuple[str, ...]]] = {}
     for result in results:
-        keys = tuple(step.key for name, step in result.steps.items() if name.partition("_")[0] == TRAIN)
+        keys = tuple(result.steps[name].key for name, _ in result.options_of(TRAIN))
         policies.setdefault((result.cell.category, result.cell.seed), set()).add(keys)
     yield from (f"{name}: several policies of seed {seed}" for (name, seed), keys in policies.items() if len(keys) > 1)
     found = _seeds(results)
@@ -113,15 +114,17 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
 
 
 def _of_training(result: CellResult) -> Iterator[str]:
-    trainings, steps = dict(result.options_of(TRAIN)), [(COLLECT, CORRECT), (TRAIN, CORRECT)]
-    recorded, trained = ([each for kind in kinds for _, each in result.options_of(kind)] for kinds in steps)
-    if not trainings or {each.get("--objects") for each in recorded} != {"seen"}:
+    """Yields what is wrong with an entry's data, trainings and evaluated policy."""
+    trainings = dict(result.options_of(TRAIN))
+    recorded = {each.get("--objects") for kind in (COLLECT, CORRECT) for _, each in result.options_of(kind)}
+    if not trainings or recorded != {"seen"}:
         yield "without a training on demonstrations of seen objects"
         return
     if (seeds := {each.get("--seed") for each in trainings.values()}) != {str(result.cell.seed)}:
         yield f"trained with seed {', '.join(map(str, seeds))}, not {result.cell.seed}"
     made = tuple(f"{FOLDERS[name.partition('_')[0]]}/{step.key}" for name, step in result.steps.items())
-    used = [value for each in trained for name in _MADE if (value := each.get(name)) is not None]
+    trained = [each for kind in (TRAIN, CORRECT) for _, each in result.options_of(kind)]
+    used = [each[name] for each in trained for name in _MADE if name in each]
     if others := [each for each in used if not each.startswith(made) or ".." in each]:
         yield f"{', '.join(others)}: not made by the entry's own steps"
     last = last_checkpoint(f"{FOLDERS[TRAIN]}/{result.steps[list(trainings)[-1]].key}")
@@ -134,10 +137,9 @@ def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:
     rows = []
     for name, results in entries.items():
         means = _means([each for each in results if each.cell.seed == FIRST_SEED])
-        trainings = least_to_most(map(len, _seeds(results).values()))
-        shown = [f"{100 * mean:.1f} %" for mean in (*means, _means(results)[0])]
-        rows.append((means, [name, *shown[:-1], f"{shown[-1]} ({trainings})"]))
-    lines = [line for _, line in sorted(rows, reverse=True)]
+        overall = f"{100 * _means(results)[0]:.1f} % ({least_to_most(map(len, _seeds(results).values()))})"
+        rows.append((means, [name, *(f"{100 * mean:.1f} %" for mean in means), overall]))
+    lines = [line for _, line in sorted(rows, key=operator.itemgetter(0), reverse=True)]
     within = METRICS["within_best_tries"].title
     titles = [
         "entry",

@@ -42,8 +42,8 @@ class Repair:
 
     def lines(self) -> list[str]:
         """Returns the result as text."""
-        told = [f"repaired: {line}" for line in self.mended] + [f"cannot be repaired: {line}" for line in self.left]
-        return told + ([f"the originals: {self.backup}"] if self.backup.exists() else [])
+        lines = [f"repaired: {line}" for line in self.mended] + [f"not repaired: {line}" for line in self.left]
+        return lines + ([f"originals: {self.backup}"] if self.backup.exists() else [])
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

@@ -130,10 +130,10 @@ def test_the_policy_of_the_last_training_is_evaluated_on_all_objects(made: CellR
 def test_a_result_that_contradicts_itself_is_refused(
     made: CellResult, numbers: dict[str, Any], changes: dict[str, Any]
 ) -> None:
-    told = json.loads(json.dumps(made.to_json()))
-    assert parse_cell(told).numbers == made.numbers
+    stored = json.loads(json.dumps(made.to_json()))
+    assert parse_cell(stored).numbers == made.numbers
     with pytest.raises(ValueError, match=r"outcomes|within"):
-        parse_cell({**told, "numbers": {**told["numbers"], **numbers}, **changes})
+        parse_cell({**stored, "numbers": {**stored["numbers"], **numbers}, **changes})
 
 
 def test_everything_must_be_there_with_enough_episodes_of_one_method(made: CellResult) -> None:
