@@ -18,7 +18,7 @@ from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
 from lerobot_adamanip.benchmark.paired_text import effects_table
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, success_by_category, summary
+from lerobot_adamanip.benchmark.report_text import benchmark_page, means_beside_paper, success_by_category, summary
 from lerobot_adamanip.benchmark.result import CellResult, read_cells
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.results_page import END, START, csv_rows, readme_block, results_page, with_block
@@ -26,9 +26,11 @@ from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json",)
-"""Result files for the README, beside the means of the first scale. docs/results.md shows all."""
+"""Result files for the README. docs/results.md shows all."""
+MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "paper": means_beside_paper}
+"""Scale -> its means in the README."""
 SCALES = ("test", "paper", "cpu", "overfit")
-"""Order of the scales on the page; others follow. The README has the means of the first."""
+"""Order of the scales on the page; others follow."""
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
 ![Success by method and category, with intervals, scale test](images/benchmark_success.png)
@@ -78,7 +80,8 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    tables = [summary(report) for report in reports if report.scale == SCALES[0] and _is_current(report)]
+    current = {report.scale: report for report in reports if _is_current(report)}
+    tables = [text(current[scale]) for scale, text in MEANS.items() if scale in current]
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
     reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
     pages = [benchmark_page(report, level=2) for report in reports]

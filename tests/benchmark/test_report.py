@@ -17,7 +17,7 @@ from PIL import Image
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
+from lerobot_adamanip.benchmark.report_text import benchmark_page, means_beside_paper, summary
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, parse_cell, read_cell, read_cells, write_cell
 from lerobot_adamanip.evaluation.metrics import pool
 from lerobot_adamanip.evaluation.provenance import machine_text
@@ -118,10 +118,20 @@ def test_the_table_stands_beside_the_papers(cells: Path) -> None:
     assert [row[-1] for name, row in means_of(page).items() if name in ("Ours", "Untrained")] == ["16.5 %", "78.2 %"]
 
 
+def test_means_stand_beside_the_papers_where_all_categories_have_results(cells: Path) -> None:
+    ours = report_of(cells).mean("ours", "seen") or 0.0
+    assert f" Ours {100 * ours:.1f} % (78.2)" in means_beside_paper(report_of(cells))
+    assert "Ours on static" not in means_beside_paper(report_of(cells)), "the paper has no such method"
+    for path in cells.glob("ours-safe-seen-*.json"):
+        path.unlink()
+    assert " Ours " not in means_beside_paper(report_of(cells))
+
+
 def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
     scale = {**content()["scales"][SCALE], "note": "One object, learnt by heart.", "beside_paper": False}
     report = make_report(read_cells(cells), declared(scales={SCALE: scale}, trials=TRIALS), SCALE, {CODE.episodes})
     page = benchmark_page(report)
+    assert means_beside_paper(report) == ""
     assert "One object, learnt by heart. " in page
     assert not [name for name in by_category(page) if "the paper" in name]
     assert means_of(page)["method"][-1] == "trainings"
