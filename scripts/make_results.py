@@ -80,8 +80,10 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
     reports = list(benchmark_reports(folder, present))
-    current = {report.scale: report for report in reports if _is_current(report)}
-    tables = [text(current[scale]) for scale, text in MEANS.items() if scale in current]
+    by_scale = {report.scale: report for report in reports}
+    tables = [
+        text(by_scale[scale]) for scale, text in MEANS.items() if scale in by_scale and _is_current(by_scale[scale])
+    ]
     readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
     reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
     pages = [benchmark_page(report, level=2) for report in reports]
@@ -89,10 +91,7 @@ def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
     board = leaderboard_page(entries(folder, present))
     page = results_page(results, present, [PICTURES, *pages] if pages else [])
     notes = {
-        path: _with_table(path, table(report))
-        for path, (scale, table) in TABLES.items()
-        for report in reports
-        if report.scale == scale
+        path: _with_table(path, table(by_scale[scale])) for path, (scale, table) in TABLES.items() if scale in by_scale
     }
     return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board, **notes}
 

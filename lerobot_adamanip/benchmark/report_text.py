@@ -71,13 +71,15 @@ def summary(report: BenchmarkReport) -> str:
 def means_beside_paper(report: BenchmarkReport) -> str:
     """Returns the mean success of the paper's methods with the paper's numbers in brackets; empty without any."""
     means = []
-    for row in report.rows_with_results:
+    for row in report.rows_with_results if report.beside_paper else ():
         paper, ours = reported_mean(row.paper, report.categories), report.mean(row.name, PAPER_OBJECTS)
-        if report.beside_paper and paper is not None and ours is not None:
+        if paper is not None and ours is not None:
             means.append(f"{method_name(row)} {_mean(ours)} ({paper:.1f})")
-    number = counted(report.results[0].numbers.success.episodes, f"{report.scenes} scene") if means else ""
+    if not means:
+        return ""
+    number = counted(report.results[0].numbers.success.episodes, f"{report.scenes} scene")
     title = f"Mean success in the setting of the paper's code, {number} of each category (in the paper)"
-    return f"{title}: {', '.join(means)}." if means else ""
+    return f"{title}: {', '.join(means)}."
 
 
 def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:

@@ -42,8 +42,11 @@ class Repair:
 
     def lines(self) -> list[str]:
         """Returns the result as text."""
-        lines = [f"repaired: {line}" for line in self.mended] + [f"not repaired: {line}" for line in self.left]
-        return lines + ([f"originals: {self.backup}"] if self.backup.exists() else [])
+        lines = [f"repaired: {line}" for line in self.mended]
+        lines += [f"not repaired: {line}" for line in self.left]
+        if self.backup.exists():
+            lines.append(f"originals: {self.backup}")
+        return lines
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
