@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -21,11 +20,13 @@ Array = NDArray[np.float64]
 
 TOUCH_FORCE = 1.0
 """Minimum force of a push along the joint's motion, or of a grip [N]; a weaker one is a graze."""
-PUSH_LAG, PUSH_TURN_LAG = 0.003, 0.015
-"""Minimum lag of a pushing hand [m, rad]: half of the lag that ends a motion as a stall, see `MotionLimits`."""
+PUSH_LAG, PUSH_TURN_LAG = 0.002, 0.01
+"""Minimum lag of a pushing hand [m, rad]: about 9 N, a third of the lag that ends a motion as a stall."""
 PUSH_WAY, PUSH_TURN = PUSH_LAG / 2, PUSH_TURN_LAG / 2
 """Minimum travel of a meant push since the arm was last free of strain [m, rad]. The arm is free of strain below half
 of the lag, so a hand that is held back while its target moves travels as far; one that is deflected does not."""
+PUSH_TICKS = 20
+"""Maximum number of control ticks of that travel. A hand that holds a lever against its spring is never free."""
 PUSH_SHARE = 0.7
 """Minimum share of a meant push along the part's motion; a hand that moves elsewhere only passes by."""
 NEAR_AXIS = 0.05
@@ -34,35 +35,6 @@ METRES_PER_RADIAN = 0.3
 """Motion of a hand that counts as much as its rotation by one radian [m/rad]."""
 NO_ROOM = 1e-3
 """Distance to its nominal limit below which a joint cannot move farther in that direction [rad or m]."""
-
-
-@dataclass(frozen=True)
-class _Hand:
-    """Motion of the hand in one control tick: (4, 4) transforms that move points of the hand, robot base frame.
-
-    Attributes:
-        behind: from the present pose to that of the joint targets.
-        sent: motion of the target since the arm was free of strain.
-        step: motion of the target in this tick.
-    """
-
-    behind: Array
-    sent: Array
-    step: Array
-
-    def shifts(self, places: Array) -> list[Array]:
-        """Returns the motions of ``places`` (N, 3) [m] by each transform, three of (N, 3)."""
-        return [places @ each[:3, :3].T + each[:3, 3] - places for each in (self.behind, self.sent, self.step)]
-
-    @property
-    def turn(self) -> Array:
-        """Rotation vector (3,) of ``sent`` [rad]."""
-        return rotation_vector_from_matrix(self.sent[:3, :3])
-
-    def turns(self, axis: Array) -> list[float]:
-        """Returns the rotations about ``axis`` (3,) by each transform [rad]."""
-        transforms = (self.behind, self.sent, self.step)
-        return [float(rotation_vector_from_matrix(each[:3, :3]) @ axis) for each in transforms]
 
 
 class ArmContacts:
@@ -84,8 +56,7 @@ class ArmContacts:
         self._joints = named_joints(target, self._ranges)
         names = {joint.name: name for name, joint in self._joints.items()}
         self._carrying = {link.entity: _joints_above(link, names) for link in target.links}
-        self._free_at: Array | None = None
-        self._wanted: Array | None = None
+        self._before: list[Array] = []
 
     def pushes(self, wanted: Array, actual: Array) -> dict[str, Push]:
         """Returns the push on each joint that carries a touched link. Call this after every tick.
@@ -102,39 +73,51 @@ class ArmContacts:
             actual: present tool pose (4, 4).
         """
         behind = wanted @ np.linalg.inv(actual)
-        strain = float(np.linalg.norm(wanted[:3, 3] - actual[:3, 3])) / PUSH_LAG
         turn = float(np.linalg.norm(rotation_vector_from_matrix(behind[:3, :3]))) / PUSH_TURN_LAG
+        strain = float(np.linalg.norm(wanted[:3, 3] - actual[:3, 3])) / PUSH_LAG
         touched = self._touched()
-        if not touched or self._free_at is None or max(strain, turn) < 0.5:
-            self._free_at = wanted
-        before, self._wanted = wanted if self._wanted is None else self._wanted, wanted
-        hand = _Hand(behind, wanted @ np.linalg.inv(self._free_at), wanted @ np.linalg.inv(before))
+        if not touched or max(strain, turn) < 0.5:
+            self._before = self._before[-1:]
+        sent = [wanted @ np.linalg.inv(before) for before in self._before] if touched else []
+        self._before = [*self._before, wanted][-PUSH_TICKS:]
         return {
-            name: self._push(name, hand, *map(np.array, zip(*points, strict=True))) for name, points in touched.items()
+            name: self._push(name, behind, sent or [np.eye(4)], *map(np.array, zip(*points, strict=True)))
+            for name, points in touched.items()
         }
 
-    def _push(self, name: str, hand: _Hand, places: Array, forces: Array) -> Push:
-        """Returns the push on one joint from its contacts: ``places`` (N, 3) [m], ``forces`` on the part (N, 3) [N]."""
+    def _push(self, name: str, behind: Array, sent: list[Array], places: Array, forces: Array) -> Push:
+        """Returns the push on one joint.
+
+        Args:
+            name: of the joint.
+            behind: (4, 4) motion from the present pose to that of the joint targets.
+            sent: (4, 4) motions of the target since each of some ticks before, the latest tick last.
+            places: (N, 3) of the contacts [m].
+            forces: (N, 3) on the part [N].
+        """
         joint, sizes = self._joints[name], np.linalg.norm(forces, axis=1)
-        axis, along, radii = _motion(joint, places)
-        weights = sizes / sizes.sum()
-        shifts = hand.shifts(places)
-        lag, way, step = (float(weights @ (shift * along).sum(1)) for shift in shifts)
-        net, grip = float((forces * along).sum()), float(sizes.sum() - np.linalg.norm(forces.sum(0)))
-        radius, whole = float(weights @ radii), float(weights @ np.linalg.norm(shifts[1], axis=1))
-        strain, is_along = lag / PUSH_LAG, abs(way) > max(PUSH_WAY, PUSH_SHARE * whole)
+        axis, along, radius = _motion(joint, place := np.average(places, axis=0, weights=sizes))
+        strain, shifts = float(_shift(behind, place) @ along) / PUSH_LAG, [_shift(motion, place) for motion in sent]
+        lengths, least = [float(np.linalg.norm(shift)) for shift in shifts], PUSH_WAY
+        ways = [float(shift @ along) for shift in shifts]
+        step = ways[-1]
         if joint.type != "prismatic":
-            turns = hand.turns(axis)
-            step = float(turns[2]) if radius < NEAR_AXIS else step / radius
-            if radius < NEAR_AXIS and abs(turns[0]) / PUSH_TURN_LAG > abs(strain):
-                strain, way = turns[0] / PUSH_TURN_LAG, turns[1]
-                other = PUSH_SHARE * (whole / METRES_PER_RADIAN + float(np.linalg.norm(hand.turn)))
-                is_along = abs(way) > max(PUSH_TURN, other)
+            rotations = [_turn(motion) for motion in sent]
+            turns, turn = [float(each @ axis) for each in rotations], float(_turn(behind) @ axis)
+            step = turns[-1] if radius < NEAR_AXIS else step / radius
+            if radius < NEAR_AXIS and abs(turn) / PUSH_TURN_LAG > abs(strain):
+                strain, ways, least = turn / PUSH_TURN_LAG, turns, PUSH_TURN
+                pairs = zip(lengths, rotations, strict=True)
+                lengths = [length / METRES_PER_RADIAN + float(np.linalg.norm(each)) for length, each in pairs]
         direction = 1 if strain > 0 else -1
-        transmits = max(grip, direction * net) > TOUCH_FORCE
+        grip = float(sizes.sum() - np.linalg.norm(forces.sum(0)))
+        transmits = max(grip, direction * float(forces.sum(0) @ along)) > TOUCH_FORCE
         if not transmits or abs(strain) < 0.5 or self._room(name, direction) < NO_ROOM:
             return Push(step)
-        return Push(step, direction, bool(abs(strain) > 1 and is_along and direction * way > 0))
+        is_sent = any(
+            direction * way > max(least, PUSH_SHARE * length) for way, length in zip(ways, lengths, strict=True)
+        )
+        return Push(step, direction, abs(strain) > 1 and is_sent)
 
     def _room(self, name: str, way: float) -> float:
         """Returns how far a joint's nominal range lets it move in the direction of ``way`` [rad or m]."""
@@ -157,18 +140,29 @@ class ArmContacts:
         return touched
 
 
-def _motion(joint: Any, places: Array) -> tuple[Array, Array, Array]:
-    """Returns a joint's axis (3,), the unit vectors (N, 3) of the motion of ``places`` (N, 3) with it, and radii (N,).
+def _motion(joint: Any, place: Array) -> tuple[Array, Array, float]:
+    """Returns a joint's axis (3,), the unit vector (3,) of the motion of ``place`` (3,) with it, and a radius.
 
-    The radii [m] are distances from the axis of a revolute joint; on it the unit vector is zero.
+    The radius [m] is the distance from the axis of a revolute joint; on it the unit vector is zero.
     """
     pose = joint.global_pose.to_transformation_matrix().astype(np.float64)
     axis = pose[:3, 0]
     if joint.type == "prismatic":
-        return axis, np.tile(axis, (len(places), 1)), np.zeros(len(places))
-    across = np.cross(axis, places - pose[:3, 3])
-    radii = np.linalg.norm(across, axis=1)
-    return axis, across / np.maximum(radii, 1e-9)[:, None], radii
+        return axis, axis, 0.0
+    across = np.cross(axis, place - pose[:3, 3])
+    radius = float(np.linalg.norm(across))
+    return axis, across / max(radius, 1e-9), radius
+
+
+def _shift(motion: Array, place: Array) -> Array:
+    """Returns how far a motion (4, 4) moves ``place`` (3,) [m]."""
+    moved: Array = motion[:3, :3] @ place + motion[:3, 3] - place
+    return moved
+
+
+def _turn(motion: Array) -> Array:
+    """Returns the rotation vector (3,) of a motion (4, 4) [rad]."""
+    return rotation_vector_from_matrix(motion[:3, :3])
 
 
 def _joints_above(link: Any, names: Mapping[str, str]) -> tuple[str, ...]:
