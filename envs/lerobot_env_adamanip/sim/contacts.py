@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,26 @@ METRES_PER_RADIAN = 0.3
 """Motion of a hand that counts as much as its rotation by one radian [m/rad]."""
 NO_ROOM = 1e-3
 """Distance to its nominal limit below which a joint cannot move farther in that direction [rad or m]."""
+
+
+@dataclass(frozen=True)
+class _Hand:
+    """Where the hand is sent in one control tick; (4, 4) poses and motions, robot base frame.
+
+    Attributes:
+        wanted: tool pose of the joint targets.
+        before: the same at some ticks before, the latest last.
+        behind: motion from the present pose to ``wanted``.
+    """
+
+    wanted: Array
+    before: list[Array]
+    behind: Array
+
+    def sent(self) -> Iterator[Array]:
+        """Yields the motion of the target since each tick before, the latest first."""
+        for pose in reversed(self.before):
+            yield self.wanted @ np.linalg.inv(pose)
 
 
 class ArmContacts:
@@ -78,46 +99,34 @@ class ArmContacts:
         touched = self._touched()
         if not touched or max(strain, turn) < 0.5:
             self._before = self._before[-1:]
-        sent = [wanted @ np.linalg.inv(before) for before in self._before] if touched else []
+        hand = _Hand(wanted, self._before or [wanted], behind)
         self._before = [*self._before, wanted][-PUSH_TICKS:]
-        return {
-            name: self._push(name, behind, sent or [np.eye(4)], *map(np.array, zip(*points, strict=True)))
-            for name, points in touched.items()
-        }
+        return {name: self._push(name, hand, *map(np.array, zip(*each, strict=True))) for name, each in touched.items()}
 
-    def _push(self, name: str, behind: Array, sent: list[Array], places: Array, forces: Array) -> Push:
-        """Returns the push on one joint.
-
-        Args:
-            name: of the joint.
-            behind: (4, 4) motion from the present pose to that of the joint targets.
-            sent: (4, 4) motions of the target since each of some ticks before, the latest tick last.
-            places: (N, 3) of the contacts [m].
-            forces: (N, 3) on the part [N].
-        """
+    def _push(self, name: str, hand: _Hand, places: Array, forces: Array) -> Push:
+        """Returns the push on one joint from its contacts: ``places`` (N, 3) [m], ``forces`` on the part (N, 3) [N]."""
         joint, sizes = self._joints[name], np.linalg.norm(forces, axis=1)
         axis, along, radius = _motion(joint, place := np.average(places, axis=0, weights=sizes))
-        strain, shifts = float(_shift(behind, place) @ along) / PUSH_LAG, [_shift(motion, place) for motion in sent]
-        lengths, least = [float(np.linalg.norm(shift)) for shift in shifts], PUSH_WAY
-        ways = [float(shift @ along) for shift in shifts]
-        step = ways[-1]
-        if joint.type != "prismatic":
-            rotations = [_turn(motion) for motion in sent]
-            turns, turn = [float(each @ axis) for each in rotations], float(_turn(behind) @ axis)
-            step = turns[-1] if radius < NEAR_AXIS else step / radius
-            if radius < NEAR_AXIS and abs(turn) / PUSH_TURN_LAG > abs(strain):
-                strain, ways, least = turn / PUSH_TURN_LAG, turns, PUSH_TURN
-                pairs = zip(lengths, rotations, strict=True)
-                lengths = [length / METRES_PER_RADIAN + float(np.linalg.norm(each)) for length, each in pairs]
+        is_near_axis = joint.type != "prismatic" and radius < NEAR_AXIS
+        strain, turn = (
+            float(_shift(hand.behind, place) @ along) / PUSH_LAG,
+            float(_turn(hand.behind) @ axis) / PUSH_TURN_LAG,
+        )
+        latest = next(hand.sent())
+        step = float(_turn(latest) @ axis) if is_near_axis else float(_shift(latest, place) @ along)
+        if joint.type != "prismatic" and not is_near_axis:
+            step /= radius
+        turns = is_near_axis and abs(turn) > abs(strain)
+        strain = turn if turns else strain
         direction = 1 if strain > 0 else -1
         grip = float(sizes.sum() - np.linalg.norm(forces.sum(0)))
         transmits = max(grip, direction * float(forces.sum(0) @ along)) > TOUCH_FORCE
         if not transmits or abs(strain) < 0.5 or self._room(name, direction) < NO_ROOM:
             return Push(step)
-        is_sent = any(
-            direction * way > max(least, PUSH_SHARE * length) for way, length in zip(ways, lengths, strict=True)
+        way = direction * (axis if turns else along)
+        return Push(
+            step, direction, abs(strain) > 1 and any(_is_along(each, place, way, turns) for each in hand.sent())
         )
-        return Push(step, direction, abs(strain) > 1 and is_sent)
 
     def _room(self, name: str, way: float) -> float:
         """Returns how far a joint's nominal range lets it move in the direction of ``way`` [rad or m]."""
@@ -163,6 +172,15 @@ def _shift(motion: Array, place: Array) -> Array:
 def _turn(motion: Array) -> Array:
     """Returns the rotation vector (3,) of a motion (4, 4) [rad]."""
     return rotation_vector_from_matrix(motion[:3, :3])
+
+
+def _is_along(motion: Array, place: Array, way: Array, turns: bool) -> bool:
+    """Returns whether a motion (4, 4) moves ``place`` (3,) mostly along ``way`` (3,), or turns mostly about it."""
+    shift, turn = _shift(motion, place), _turn(motion)
+    if not turns:
+        return bool(shift @ way > max(PUSH_WAY, PUSH_SHARE * float(np.linalg.norm(shift))))
+    whole = float(np.linalg.norm(shift)) / METRES_PER_RADIAN + float(np.linalg.norm(turn))
+    return bool(turn @ way > max(PUSH_TURN, PUSH_SHARE * whole))
 
 
 def _joints_above(link: Any, names: Mapping[str, str]) -> tuple[str, ...]:
