@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lerobot_adamanip.catalog import object_split
-from lerobot_adamanip.contract.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, KeyFrameLabels
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
@@ -61,7 +61,8 @@ class EpisodeMonitor:
         """Counts and labels a finished key frame. Returns whether the episode has succeeded."""
         self.key_frames += 1
         self.clipped_goals += self._task.feedback.is_clipped
-        self._labeler.after_key_frame(self._task.joint_positions())
+        _, gripper = self._task.goal
+        self._labeler.after_key_frame(self._task.joint_positions(), opens=gripper > CLOSED_HAND)
         self.success |= self._task.succeeded() and self.limit != TOO_MANY_TRIES
         return self.success
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 
-MIN_JOINT_MOTION = {"revolute": 0.01, "prismatic": 0.0005}
+MIN_JOINT_MOTION = {"revolute": 0.02, "prismatic": 0.001}
 """Least motion of a joint that counts as motion [rad, m]."""
 MIN_TICK_MOTION = {"revolute": 5e-4, "prismatic": 2.5e-5}
 """Least motion of a joint in one control tick that counts as motion [rad, m]."""
@@ -173,6 +173,10 @@ class TryTracker:
             state.start, state.sent = state.position, 0.0
 
 
+OPENING_TICKS = 15
+"""Control ticks in which fingers open; what they still push meanwhile is of the key frame before."""
+
+
 class KeyFrameLabeler:
     """Labels key frames by the tries of a `TryTracker`, one key frame after the other.
 
@@ -187,17 +191,21 @@ class KeyFrameLabeler:
         self._failed = 0
         self.labels = KeyFrameLabels()
 
-    def after_key_frame(self, positions: Mapping[str, float]) -> KeyFrameLabels:
-        """Labels a finished key frame by its longest try; ``positions`` are those at its end [rad or m].
+    def after_key_frame(self, positions: Mapping[str, float], *, opens: bool = False) -> KeyFrameLabels:
+        """Labels a finished key frame by its longest try.
 
-        A push that began before and ends within `REST_TICKS`, as fingers open, is none of its own.
+        Args:
+            positions: joint positions at its end [rad or m].
+            opens: whether the hand was open at its end. A try that goes on from before is then not of this key frame,
+                unless it lasts more than `OPENING_TICKS`.
         """
         tracker = self._tracker
         ticks = [each.ticks for each in tracker.tries]
         pairs = itertools.zip_longest(ticks, self._ticks, fillvalue=0)
         length, number = max(((now - before, number) for number, (now, before) in enumerate(pairs)), default=(0, 0))
         self.labels = KeyFrameLabels(trial=self._failed)
-        if length > 0 and (length > REST_TICKS or number >= len(self._ticks)):
+        goes_on = number < len(self._ticks)
+        if length > (OPENING_TICKS if goes_on and opens else REST_TICKS if goes_on else 0):
             made = tracker.tries[number]
             name = list(tracker.kinds)[made.joint]
             progress = made.direction * (positions[name] - self._positions[name])

@@ -149,9 +149,9 @@ class Metrics:
         Rate | None,
         Metric("opened within the best strategy's tries", _within_best_tries, Rate, by_objects=True, is_detail=False),
     ] = None
-    within_own_tries: Annotated[
-        Rate | None, Metric("opened within the scene's own tries", _within_own_tries, Rate)
-    ] = None
+    within_own_tries: Annotated[Rate | None, Metric("opened within the scene's own tries", _within_own_tries, Rate)] = (
+        None
+    )
     wasted_tries: Annotated[
         Mean | None, Metric("wasted tries", _wasted_tries, Mean, by_objects=True, is_detail=False)
     ] = None

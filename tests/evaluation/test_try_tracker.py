@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_adamanip.contract.keyframes import KeyFrameLabels
-from lerobot_adamanip.episode.tries import MIN_JOINT_MOTION, REST_TICKS, KeyFrameLabeler, Push, Try, TryTracker
+from lerobot_adamanip.episode.tries import (
+    MIN_JOINT_MOTION,
+    OPENING_TICKS,
+    REST_TICKS,
+    KeyFrameLabeler,
+    Push,
+    Try,
+    TryTracker,
+)
 
 STEP = 0.02
 """Motion of a joint or of the hand in one tick [rad]."""
@@ -158,8 +166,10 @@ def test_a_push_that_ends_as_the_fingers_open_is_not_of_that_key_frame(world: Wo
     labeler = KeyFrameLabeler(world.tracker)
     world.moves("knob", ticks=10)
     labeler.after_key_frame(world.positions)
-    world.tick(REST_TICKS, "knob", Push(0.0, 1, True))
-    assert labeler.after_key_frame(world.positions).tried == -1
+    world.tick(OPENING_TICKS, "knob", Push(0.0, 1, True))
+    assert labeler.after_key_frame(world.positions, opens=True).tried == -1
+    world.moves("knob", ticks=OPENING_TICKS + 1)
+    assert labeler.after_key_frame(world.positions, opens=True).tried == 1
 
 
 def test_a_try_starts_as_failed_until_the_joint_moves() -> None:

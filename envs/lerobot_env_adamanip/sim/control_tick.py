@@ -20,21 +20,24 @@ FREE_ITERATIONS = 4
 bring nothing here."""
 GRIP_TICKS = 8
 """Control ticks in which fingers settle around a part."""
+STAYING = 1e-3
+"""Maximum motion of joint targets in a control tick at which the arm stays [rad]."""
 VELOCITY_LAG = 0.1
 """Time in which a drive of velocities would catch up with its lag [s]."""
 
 
 class Closing:
-    """Detects that fingers close: while their target falls, and `GRIP_TICKS` after that."""
+    """Detects that fingers close around a part: their target falls, or fell `GRIP_TICKS` ago, and the arm stays."""
 
     def __init__(self) -> None:
-        self._target, self._left = np.inf, 0
+        self._finger, self._arm, self._left = np.inf, np.zeros(NUM_ARM_JOINTS), 0
 
-    def update(self, target: float) -> bool:
-        """Advances by one control tick with a finger target [m]; returns whether the fingers close."""
-        self._left = GRIP_TICKS if target < self._target < np.inf else max(0, self._left - 1)
-        self._target = target
-        return self._left > 0
+    def update(self, arm: NDArray[np.float64], finger: float) -> bool:
+        """Advances by one control tick with joint targets (7,) [rad] and a finger target [m]."""
+        self._left = GRIP_TICKS if finger < self._finger < np.inf else max(0, self._left - 1)
+        stays = float(np.abs(arm - self._arm).max()) < STAYING
+        self._finger, self._arm = finger, arm
+        return stays and self._left > 0
 
 
 class ControlTick:

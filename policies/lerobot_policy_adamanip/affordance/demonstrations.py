@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import OPEN_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND
 from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_columns
 
 MIN_CLEARANCE_M = 0.05

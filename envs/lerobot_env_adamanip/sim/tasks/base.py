@@ -270,7 +270,7 @@ class AdaManipTask(BaseEnv):
     def _follow_tries(self, target: NDArray[np.float64]) -> None:
         """Follows tries for one control tick with joint targets (7,) [rad], and holds and releases joints by them."""
         pushes = self._contacts.pushes(*map(self._kinematics.tcp_in_base, (target, self.arm_state().qpos)))
-        closing = self._closing.update(finger_target(self.agent.robot._objs[0]))
+        closing = self._closing.update(target, finger_target(self.agent.robot._objs[0]))
         self.tries.update({} if closing else pushes, self.joint_positions())
         self.mechanism_driver.apply(self.mechanism.joints if closing else self.tries.at_rest())
 
