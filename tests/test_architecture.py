@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from lerobot_adamanip.util.import_graph import our_import_graph
+from lerobot_adamanip.util.moved import MOVED
 
 from lerobot_adamanip import AdaManipError
 from lerobot_adamanip.util import errors
-from lerobot_adamanip.util.import_graph import our_import_graph
-from lerobot_adamanip.util.moved import MOVED
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"

@@ -12,6 +12,12 @@ from typing import Any
 
 import pytest
 from benchmark_helpers import CODE, FakeRunner, benchmark, run_all
+from lerobot_env_adamanip.fingerprint import (
+    code_fingerprint,
+    environment_fingerprint,
+    present_fingerprint,
+    present_fingerprints,
+)
 from records import record
 
 from lerobot_adamanip.benchmark.result import write_cell
@@ -38,12 +44,6 @@ from lerobot_adamanip.evaluation.results_page import (
 )
 from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_env_adamanip.fingerprint import (
-    code_fingerprint,
-    environment_fingerprint,
-    present_fingerprint,
-    present_fingerprints,
-)
 
 ROOT = Path(__file__).resolve().parents[1]
 NOW, BEFORE = "a" * 16, "b" * 16

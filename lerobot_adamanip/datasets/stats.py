@@ -190,7 +190,7 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
         first_part=None,
         first_try_failed=False,
         try_sequence=tries,
-        provenance=Provenance(str(row.get("fingerprint") or ""), "", "paper"),
+        provenance=Provenance(int(row.get("simulation_version") or 0), "", "paper"),
     )
 
 

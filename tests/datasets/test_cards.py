@@ -15,6 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from huggingface_hub import ModelCard
+from lerobot_adamanip.util.fingerprint import combined
 from records import record
 
 from lerobot_adamanip.cli import collect_setup as pictures
@@ -32,7 +33,6 @@ from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.scan import Names, scan
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.fingerprint import combined
 
 
 @pytest.fixture

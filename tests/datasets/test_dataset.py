@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from demos_helpers import LATE, fakes, make_spec, patiently
+from lerobot_adamanip.util.fingerprint import combined
 
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
@@ -20,7 +21,6 @@ from lerobot_adamanip.datasets.reading import episode_table, load_check, open_da
 from lerobot_adamanip.datasets.shards import RecordedEpisode
 from lerobot_adamanip.datasets.start_column import RESET
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.fingerprint import combined
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 
