@@ -14,7 +14,6 @@ from pathlib import Path
 
 import pytest
 from lerobot_adamanip.util.import_graph import our_import_graph
-from lerobot_adamanip.util.moved import MOVED
 
 from lerobot_adamanip import AdaManipError
 from lerobot_adamanip.util import errors
@@ -108,7 +107,7 @@ def test_the_core_names_no_module_of_others_in_a_string() -> None:
     """What must not be imported must not be imported by name either; a distribution's name alone is none."""
     wrong = []
     for name, (_, _, tree) in sources().items():
-        if not f"{name}.".startswith(f"{CORE}.") or name.startswith((f"{CORE}.cli", f"{CORE}.util.fingerprint")):
+        if not f"{name}.".startswith(f"{CORE}.") or name.startswith((f"{CORE}.cli",)):
             continue
         for node in set(ast.walk(tree)) - docstrings(tree):
             if isinstance(node, ast.Constant) and isinstance(node.value, str) and MODULE_OF_OTHERS.match(node.value):
@@ -140,14 +139,6 @@ def test_modules_are_imported_by_string_only_from_our_own_tables() -> None:
 def test_no_loose_module_at_the_top_of_the_core() -> None:
     loose = {path.name for path in (ROOT / CORE).iterdir() if path.is_file()}
     assert loose == {"__init__.py", "catalog.py", "py.typed"}
-
-
-@pytest.mark.parametrize("old", MOVED)
-def test_an_old_module_names_its_new_place(old: str) -> None:
-    with pytest.raises(ModuleNotFoundError, match=re.escape(f"lerobot_adamanip.{MOVED[old]}")):
-        importlib.import_module(f"{CORE}.{old}")
-    if old != "demos":
-        importlib.import_module(f"{CORE}.{MOVED[old]}")
 
 
 def test_other_missing_modules_are_reported_as_ever() -> None:

@@ -56,7 +56,7 @@ def answers(done: Any) -> list[dict[str, Any]]:
 def environment_commit(api: HfApi, tmp_path: Path) -> str:
     """Publishes the environments."""
     (tmp_path / "env").mkdir()
-    return push(stage_environment(ENVIRONMENT, tmp_path / "env", {"simulator": "0" * 16}), api).commit
+    return push(stage_environment(ENVIRONMENT, tmp_path / "env"), api).commit
 
 
 @pytest.fixture
