@@ -74,6 +74,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
+        self._seeds: dict[str, int] = {}
         self._episode_log, self._provenance = _log_of(self.options)
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
@@ -103,15 +104,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         sim = self._started()
         self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         drawn = self._placed(sim, wanted, chosen)
-        self._monitor = EpisodeMonitor(
-            sim,
-            sim.placement.annotations,
-            seed=drawn,
-            given_seed=given,
-            provenance=self._provenance,
-            options=self.options,
-        )
+        self._seeds = {"seed": drawn, "given_seed": given}
+        self.restart_episode()
         return self.observe(), {"is_success": False}
+
+    def restart_episode(self) -> None:
+        """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
+        sim = self._sim
+        assert sim is not None
+        sim.restart_tries()
+        self._record = None
+        self._monitor = EpisodeMonitor(sim, **self._seeds, provenance=self._provenance, options=self.options)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
@@ -252,13 +255,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
         """Resets the simulator to a reachable scene; returns its seed."""
         first, attempt = seed, 0
+        is_one_object = "object_id" in chosen or len(sim.object_ids) == 1
         while True:
             try:
                 sim.reset(seed=seed, options={"reconfigure": True, **chosen})
                 return seed
             except UnreachableError as error:
                 attempt += 1
-                if attempt == SCENE_TRIES:
+                if attempt == SCENE_TRIES or (error.is_certain and is_one_object):
                     raise
                 seed = retried_seed(first, self.options.split, attempt)
                 _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)

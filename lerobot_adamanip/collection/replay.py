@@ -172,6 +172,7 @@ def _run(
     for action in recorded.prefix:
         env.drive(action)
     if len(recorded.prefix):
+        env.restart_episode()
         observation = env.observe()
     actions = recorded.columns[schema.EXECUTED][:-1]  # the terminal row's action was never sent
     seen, success = [observation_columns(observation)], False

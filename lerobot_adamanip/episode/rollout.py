@@ -73,6 +73,9 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Steps without an observation. Returns whether the task is done, and whether a limit is reached."""
 
+    def restart_episode(self) -> None:
+        """Starts counting key frames and tries in the present state, as at a reset."""
+
     def observe(self) -> Observation:
         """Returns the current observation."""
 

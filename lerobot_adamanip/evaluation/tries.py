@@ -84,7 +84,7 @@ def _best_tries(record: EpisodeRecord) -> tuple[float, int]:
 
 def tried_locked_first(record: EpisodeRecord) -> bool:
     """Returns whether the first try was a pull at a locked door."""
-    return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
+    return bool(record.locked) and record.try_sequence[:1] == ((0, 1, True),)
 
 
 def recovery(records: Iterable[EpisodeRecord]) -> Recovery:

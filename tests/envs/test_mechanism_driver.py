@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.mechanisms import make_mechanism
@@ -43,7 +42,7 @@ def articulation() -> FakeArticulation:
 
 def driver(articulation: FakeArticulation, *, hold: bool = True, **hidden: Any) -> MechanismDriver:
     mechanism = make_mechanism(make_object("safe_000"))
-    state = mechanism.draw(torch.Generator().manual_seed(0), {"locked": True, "direction": 1, **hidden})
+    state = mechanism.draw(np.random.default_rng(0), {"locked": True, "direction": 1, **hidden})
     made = MechanismDriver(mechanism, state, articulation, hold=hold)
     made.apply()
     return made

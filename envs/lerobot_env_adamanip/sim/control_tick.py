@@ -18,6 +18,23 @@ physics step. ManiSkill's 20 mm creates contacts with everything near the hand, 
 FREE_ITERATIONS = 4
 """Solver iterations of an arm without contacts. Iterations only harden contacts, and all cost the same, so more would
 bring nothing here."""
+GRIP_TICKS = 8
+"""Control ticks in which fingers settle around a part."""
+VELOCITY_LAG = 0.1
+"""Time in which a drive of velocities would catch up with its lag [s]."""
+
+
+class Closing:
+    """Detects that fingers close: while their target falls, and `GRIP_TICKS` after that."""
+
+    def __init__(self) -> None:
+        self._target, self._left = np.inf, 0
+
+    def update(self, target: float) -> bool:
+        """Advances by one control tick with a finger target [m]; returns whether the fingers close."""
+        self._left = GRIP_TICKS if target < self._target < np.inf else max(0, self._left - 1)
+        self._target = target
+        return self._left > 0
 
 
 class ControlTick:
@@ -56,3 +73,22 @@ class ControlTick:
         if iterations != self._iterations:
             self._arm.set_solver_position_iterations(iterations)
             self._iterations = iterations
+
+
+def drive_targets(arm: sapien.physx.PhysxArticulation) -> NDArray[np.float64]:
+    """Returns the targets (7,) [rad] of an arm's drives. A drive of velocities is that far ahead of the arm."""
+    joints, qpos, qvel = arm.active_joints[:NUM_ARM_JOINTS], arm.get_qpos(), arm.get_qvel()
+    return np.array(
+        [
+            joint.drive_target[0]
+            if joint.stiffness
+            else qpos[k] + VELOCITY_LAG * (joint.drive_velocity_target[0] - qvel[k])
+            for k, joint in enumerate(joints)
+        ],
+        np.float64,
+    )
+
+
+def finger_target(arm: sapien.physx.PhysxArticulation) -> float:
+    """Returns the target of an arm's fingers [m]."""
+    return float(arm.active_joints[NUM_ARM_JOINTS].drive_target[0])
