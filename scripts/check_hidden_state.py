@@ -94,7 +94,7 @@ def check(category: str, seeds: list[int], hold: bool) -> list[tuple[int, tuple[
 
     warnings.filterwarnings("ignore")
     task, results = make_task(category), []
-    task.holds_the_untried = hold
+    task.holds_joints = hold
     first, *others = VARIANTS[category]
     try:
         for seed in seeds:

@@ -17,7 +17,8 @@ FOLLOWED = 0.5
 """Least share of a commanded motion that a following part covers; a part that covers less is blocked."""
 EMPTY_HAND = 0.05
 """Gripper opening below which the hand is empty: the grip was lost, or closed on nothing."""
-
+CLOSED_HAND = 0.5
+"""Commanded gripper opening below which the hand closes."""
 OPEN_HAND = 0.9
 """Gripper opening above which the hand holds nothing; around a bottle's cap it is 0.6."""
 
