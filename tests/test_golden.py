@@ -45,7 +45,7 @@ def first_or_nightly(name: str) -> Any:
 
 
 @pytest.mark.sim
-@pytest.mark.parametrize("name", map(first_or_nightly, SIMULATED))
+@pytest.mark.parametrize("name", [first_or_nightly(name) for name in SIMULATED])
 def test_episodes_are_as_their_version_says(name: str) -> None:
     check(SIMULATION, name)
 
