@@ -12,7 +12,7 @@ import golden
 import golden_values
 import numpy as np
 import pytest
-from golden_values import ALL, SIMULATED, Golden, digest, statistics
+from golden_values import ALL, Golden, digest, statistics
 
 PLAIN, DATA, SIMULATION = ALL
 
@@ -39,13 +39,8 @@ def test_rows_and_trainings_are_as_their_version_says(name: str) -> None:
     check(DATA, name)
 
 
-def first_or_nightly(name: str) -> Any:
-    """One episode a category in every run, all in the nightly one."""
-    return name if name.endswith("/0") else pytest.param(name, marks=pytest.mark.nightly)
-
-
 @pytest.mark.sim
-@pytest.mark.parametrize("name", [first_or_nightly(name) for name in SIMULATED])
+@pytest.mark.parametrize("name", SIMULATION.compute)
 def test_episodes_are_as_their_version_says(name: str) -> None:
     check(SIMULATION, name)
 

@@ -105,7 +105,10 @@ class Push:
         into.mkdir()
         results = read_results(self.results, self.results_command)
         if self.kind == "environment":
-            return stage_environment(self.repo_id, into, category=self.category, results=results)
+            from lerobot_adamanip.evaluation.provenance import present_origin
+
+            commit = present_origin().commit or ""
+            return stage_environment(self.repo_id, into, category=self.category, results=results, commit=commit)
         assert self.folder is not None
         if self.kind == "model":
             return stage_model(self.folder, self.repo_id, into, results=results, dataset=self.dataset)

@@ -13,7 +13,6 @@ from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.datasets.cards.collected import COLUMNS
 from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
-from lerobot_adamanip.evaluation.provenance import present_origin
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.model_index import results_table
 from lerobot_adamanip.mechanisms.table import RULES
@@ -26,27 +25,30 @@ _OBSERVED = {
 """Dataset column -> observation key."""
 
 
-def environment_files(repo_id: str, *, category: str = ALL, results: Sequence[ResultFile] = ()) -> dict[str, str]:
+def environment_files(
+    repo_id: str, *, category: str = ALL, results: Sequence[ResultFile] = (), commit: str = ""
+) -> dict[str, str]:
     """Returns the files of an environment's repository: name -> text.
 
     Args:
         repo_id: repository name on the Hub.
         category: category that ``env.py`` opens; `ALL` for all nine. ``envs/`` has one file per category.
         results: results for the card.
+        commit: commit of this development version, if known.
 
     Raises:
         ConfigurationError: the category does not exist.
     """
     require_choice("category", category, (*CATEGORIES, ALL))
     return {
-        "env.py": _shim(repo_id, category),
-        **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name) for name in CATEGORIES},
+        "env.py": _shim(repo_id, category, commit),
+        **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name, commit) for name in CATEGORIES},
         "requirements.txt": f"{_requirement()}\n",
-        "README.md": _card(repo_id, category, results),
+        "README.md": _card(repo_id, category, results, commit),
     }
 
 
-def _card(repo_id: str, category: str, results: Sequence[ResultFile]) -> str:
+def _card(repo_id: str, category: str, results: Sequence[ResultFile], commit: str) -> str:
     fields = {
         "license": LICENSE,
         "library_name": "lerobot",
@@ -68,30 +70,27 @@ def _card(repo_id: str, category: str, results: Sequence[ResultFile]) -> str:
         ),
         results=results_table(results),
         simulation_version=SIMULATION_VERSION,
-        install=install_text(),
+        install=_install(commit),
         citation=citation(),
     )
 
 
-def _shim(repo_id: str, category: str) -> str:
-    return card_template("env.py").substitute(_names(repo_id, category))
+def _shim(repo_id: str, category: str, commit: str) -> str:
+    install = _install(commit).removeprefix("# ").replace("\n", ": ")
+    return card_template("env.py").substitute(_names(repo_id, category), install=install)
 
 
 def _names(repo_id: str, category: str) -> dict[str, str]:
     env_type = "adamanip" if category == ALL else f"adamanip_{category}"
-    return {"title": _title(category), "repo_id": repo_id, "version": __version__, "env_type": env_type} | {
-        "install_line": install_text().replace("\n", ": ").removeprefix("# ")
-    }
+    return {"title": _title(category), "repo_id": repo_id, "version": __version__, "env_type": env_type}
 
 
-def install_text() -> str:
+def _install(commit: str) -> str:
     """Returns the shell lines that install this version; a development version is on no package index."""
     if not Version(__version__).is_devrelease:
         return f"pip install '{_requirement()}'"
-    commit = present_origin().commit or "of this version"
-    return (
-        f"# {__version__} is no release: in a checkout of its repository at commit {commit[:10]}\npip install '.[sim]'"
-    )
+    where = f" at commit {commit[:10]}" if commit else ""
+    return f"# {__version__} is no release: in a checkout of its repository{where}\npip install '.[sim]'"
 
 
 def _requirement() -> str:

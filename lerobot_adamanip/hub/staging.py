@@ -157,9 +157,10 @@ def stage_environment(
     *,
     category: str = ALL,
     results: Sequence[ResultFile] = (),
+    commit: str = "",
 ) -> Staged:
     """Stages the environments' repository in an empty folder. Other arguments and errors: see `environment_files`."""
-    files = environment_files(repo_id, category=category, results=results)
+    files = environment_files(repo_id, category=category, results=results, commit=commit)
     (into / "envs").mkdir()
     for name, text in files.items():
         (into / name).write_text(text, encoding="utf-8")

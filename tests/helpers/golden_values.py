@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from lerobot_adamanip.catalog import make_object, object_id
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.seeds import (
     SPLITS,
@@ -39,7 +40,8 @@ from lerobot_adamanip.objects.base import Shape
 TESTS = Path(__file__).resolve().parents[1]
 GOLDEN = TESTS / "golden"
 SEEDS = tuple(SPLITS["train"][0] + 1000 * number for number in range(3))
-NUM_POINTS = 512
+NUM_POINTS, _POINTS = 512, 8
+"""Points of simulated and of fixed clouds."""
 _STEP, _OFFSET = 1e-6, 0.37
 """Numbers are rounded to multiples of 1e-6, with an offset: halves of a step, as of 1/640, would round either way."""
 Values = dict[str, Any]
@@ -196,18 +198,56 @@ PLAIN: dict[str, Callable[[], Any]] = {
 
 
 def _rows() -> Values:
-    """Rows of a collection of an environment without a simulator, with late starts and failed tries."""
+    """Rows, labels and statistics of one episode of five fixed key frames: a failed try, a turn and a pull."""
     import pyarrow.parquet as pq
-    from demos_helpers import fakes, make_spec, patiently
 
-    from lerobot_adamanip.collection.collect import collect
+    from lerobot_adamanip.collection.assemble import append_shards
+    from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
+    from lerobot_adamanip.datasets.writing import create_dataset
 
+    episode = RecordedEpisode(_recorder().columns(), {"task": "Open the safe."})
     with tempfile.TemporaryDirectory() as folder:
-        root = Path(folder) / "dataset"
-        collect(root, make_spec(observe_images=False), fakes(), patiently())
+        root, shard = Path(folder) / "dataset", Path(folder) / "0.safetensors"
+        write_shard(shard, episode)
+        dataset = create_dataset(root, "local/golden", num_points=_POINTS, image_size=None, intrinsics=None)
+        append_shards(dataset, [shard], lambda done, total: None)
         rows = pq.read_table(root / "data/chunk-000/file-000.parquet").to_pydict()
         stats = json.loads((root / "meta/stats.json").read_text())
-    return {"columns": {name: digest(values) for name, values in rows.items()}, "statistics": digest(stats)}
+    return {"columns": {name: digest(values) for name, values in rows.items()}, "statistics": _flat(stats)}
+
+
+def _recorder() -> Any:
+    from lerobot_adamanip.collection.recorder import EpisodeRecorder
+    from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, Outcome, Phase
+    from lerobot_adamanip.contract.rotations import rotation_about, transform
+    from lerobot_adamanip.episode.rollout import KeyFrame
+
+    positions = iter(_ramp(len(schema.JOINT_NAMES), step) for step in range(9))
+    made = EpisodeRecorder(lambda: next(positions))
+    tries = ((-1, False), (0, True), (1, False), (0, False), (-1, False))
+    for step, (tried, failed) in enumerate(tries):
+        pose = transform((0.4 + 0.02 * step, 0.1, 0.5), rotation_about((0, 0, 1), 0.25 * step))
+        outcome = Outcome.STALLED if failed else Outcome.REACHED
+        labels = KeyFrameLabels(tried, failed, 0.1 * (tried >= 0 and not failed), trial=int(step > 1))
+        goal, feedback = Goal(pose, float(step < 1), Phase.TRY), Feedback(pose, 0.2 * step, outcome)
+        made.record(KeyFrame(_observation(step), goal, feedback, _observation(step + 1), step == 4, labels))
+    return made
+
+
+def _observation(step: int) -> Values:
+    cloud = np.stack([_ramp(_POINTS, step + axis) for axis in range(3)], axis=1)
+    return {"agent_pos": _ramp(schema.STATE_DIM, step), "effort": _ramp(schema.NUM_JOINTS, step), "point_cloud": cloud}
+
+
+def _ramp(size: int, start: int) -> Any:
+    return (0.125 * start + 0.03125 * np.arange(size)).astype(np.float32)
+
+
+def _flat(stats: Values) -> Values:
+    """Returns ``column/statistic`` -> its numbers, or their mean if they are many."""
+    named = {f"{name}/{kind}": np.ravel(value) for name, each in stats.items() for kind, value in each.items()}
+    few = {name: value if value.size <= 32 else value[:1] * 0 + value.mean() for name, value in named.items()}
+    return {name: [float(each) for each in value] for name, value in few.items()}
 
 
 @functools.cache
@@ -228,11 +268,8 @@ def _trained() -> tuple[Values, Values]:
         items = [dataset[index] for index in range(len(dataset))]
         batch = before(torch.utils.data.default_collate(items))
         window, labels, valid = policy.training_window(batch)
-        batches = {
-            "labels": statistics(labels.numpy()),
-            "valid": digest(valid.numpy()),
-            **{name: statistics(each.numpy()) for name, each in _tensors(window)},
-        }
+        batches = {"labels": statistics(labels), "are_real": statistics(valid)}
+        batches |= {name: statistics(each) for name, each in _tensors(window)}
         optimizer, losses = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3), []
         for _ in range(4):
             optimizer.zero_grad()
@@ -240,7 +277,7 @@ def _trained() -> tuple[Values, Values]:
             loss.backward()
             optimizer.step()
             policy.update()
-            losses.append(float(loss))
+            losses.append(loss.item())
     return batches, {"losses": losses, "parameters": sum(each.numel() for each in policy.parameters())}
 
 
@@ -264,7 +301,6 @@ DATA: dict[str, Callable[[], Any]] = {
 def _episode(category: str, number: int) -> Values:
     """An expert's episode on one object: the first observation, the record, and all rows."""
     from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
-    from lerobot_adamanip.contract import schema
     from lerobot_adamanip.datasets.collection_spec import CollectionSpec
     from lerobot_adamanip.episode.options import EnvironmentOptions
     from lerobot_adamanip.experts import make_expert
