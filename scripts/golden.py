@@ -30,8 +30,9 @@ def compare(golden: Golden, *, write: bool) -> list[str]:
         return differences
     if stored and version == golden.version:
         return [*differences, f"not written: {golden.advice()}"]
-    content = {"version": golden.version, "values": values}
-    golden.path.write_text(json.dumps(content, indent=1, sort_keys=True) + "\n", encoding="utf-8")
+    # A line for each value, so that a change shows which ones differ.
+    lines = ",\n".join(f"  {json.dumps(name)}: {json.dumps(value, sort_keys=True)}" for name, value in values.items())
+    golden.path.write_text(f'{{"version": {golden.version}, "values": {{\n{lines}\n}}}}\n', encoding="utf-8")
     sys.stdout.write(f"written: {golden.path.relative_to(ROOT)}\n")
     return []
 

@@ -44,7 +44,7 @@ def test_all_software_behind_a_row_has_a_version() -> None:
         (
             "0.3.0.dev0",
             ">=0.3.0.dev0",
-            "# 0.3.0.dev0 is no release: in a checkout of its repository at commit cccccccccc",
+            "0.3.0.dev0 is no release: in a checkout of its repository at commit cccccccccc",
         ),
     ],
 )

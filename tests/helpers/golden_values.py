@@ -44,6 +44,8 @@ NUM_POINTS, _POINTS = 512, 8
 """Points of simulated and of fixed clouds."""
 _STEP, _OFFSET = 1e-6, 0.37
 """Numbers are rounded to multiples of 1e-6, with an offset: halves of a step, as of 1/640, would round either way."""
+_DIGITS = 4
+"""Digits of numbers that are compared within a tolerance."""
 Values = dict[str, Any]
 
 
@@ -149,7 +151,7 @@ def statistics(array: ArrayLike) -> Values:
     numbers = numbers.reshape(len(numbers), -1)
     if numbers.shape[1] > 64:
         numbers = numbers.reshape(-1, 3)  # clouds
-    mean, deviation = (np.round(each, 6).tolist() for each in (numbers.mean(axis=0), numbers.std(axis=0)))
+    mean, deviation = (np.round(each, _DIGITS).tolist() for each in (numbers.mean(axis=0), numbers.std(axis=0)))
     return {"shape": list(np.shape(array)), "mean": mean, "std": deviation}
 
 
@@ -322,12 +324,12 @@ def _episode(category: str, number: int) -> Values:
             **{key: record[key] for key in ("success", "key_frames", "hidden_state", "try_sequence")},
             "joints": {key: float(value) for key, value in record["joints"].items()},
         },
-        "rows": {key: statistics(values) for key, values in episode.columns.items()},
+        "rows": {key: statistics(values) for key, values in episode.columns.items() if key != schema.EXECUTED},
     }
 
 
 def _floats(array: ArrayLike) -> list[float]:
-    return [round(float(each), 6) for each in np.ravel(array)]
+    return [round(float(each), _DIGITS) for each in np.ravel(array)]
 
 
 SIMULATED: dict[str, Callable[[], Any]] = {
