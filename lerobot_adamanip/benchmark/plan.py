@@ -1,7 +1,7 @@
 """Plan of a cell: its commands, and the cache keys by which cells share products. Pure functions.
 
-A key hashes a step's command, the keys of what it reads, and the versions that decide its result. Trainings with equal
-keys run once. Installed versions of other packages are not in it: a report says where they differ.
+A key hashes a step's command, the keys of what it reads, and the versions that decide its result. Equal keys run once.
+Installed versions of other packages are not in it: a report says where they differ.
 """
 
 from __future__ import annotations
@@ -55,11 +55,6 @@ class KeyVersions:
     simulation: int = SIMULATION_VERSION
     data: int = DATA_VERSION
     policies: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def recording(self) -> str:
-        """Versions that decide demonstrations."""
-        return f"{self.episodes}, {DATA} {self.data}"
 
     @property
     def episodes(self) -> str:
@@ -163,8 +158,7 @@ def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | No
 
 def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
     expert = (f"--expert={wanted.expert}", *_expert_options(wanted))
-    # Left out for other experts, so that equal demonstrations have equal commands.
-    trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()
+    trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()  # others would have unequal keys
     how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
     shared_by = 1 if scale.demonstrations_per_object else _objects(cell, scale)
     return _recording(COLLECT, cell, wanted, scale, versions, each=math.ceil(scale.demonstrations / shared_by), how=how)
@@ -214,7 +208,8 @@ def _recording(
     # Attempts end with the first success, so a higher limit changes no dataset. Requiring images does not either: the
     # step fails at once where rendering is impossible.
     required = ("--images",) if wanted.image_size else ()
-    return _step(kind, command, versions.recording, (f"--max-attempts={_ATTEMPTS}", *required), needs)
+    decides = f"{versions.episodes}, {DATA} {versions.data}"
+    return _step(kind, command, decides, (f"--max-attempts={_ATTEMPTS}", *required), needs)
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:

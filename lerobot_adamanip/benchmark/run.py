@@ -69,8 +69,7 @@ class CellState:
     Attributes:
         cell: the cell.
         state: see `DONE` and the others.
-        reason: why it is unavailable or has failed; of a result, the installed versions that differ from the present
-            ones; otherwise empty.
+        reason: why it is unavailable or has failed, or which installed versions its result differs in; may be empty.
         result: content of its result file, if it exists.
     """
 
@@ -122,15 +121,14 @@ class BenchmarkRun:
 
     def state(self, cell: Cell) -> CellState:
         """Returns the progress of a cell; runs nothing."""
-        path = self.folder.result(cell)
-        result = read_cell(path) if path.exists() else None
+        result = read_cell(path) if (path := self.folder.result(cell)).exists() else None
         if reason := self.unavailable.get(cell.method):
             return CellState(cell, UNAVAILABLE, reason, result)
         step = self._plan(cell)
         if result is not None:
-            # An update of a package changes few numbers and would repeat days of work: it is told, and repeats nothing.
             mixed = mixed_versions([result.all_versions, self.origin.versions])
-            reason = f"measured with other versions than installed: {mixed}" if mixed else ""
+            reason = mixed and f"measured with other versions than installed: {mixed}"
+            # Told only: an update of a package changes few numbers, and would repeat days of work.
             return CellState(cell, DONE if result.key == step.key else STALE, reason, result)
         begun = any(self.folder.is_begun(each) for each in step.chain())
         return CellState(cell, BEGUN if begun else MISSING)
@@ -199,8 +197,7 @@ class BenchmarkRun:
         if not command:
             self._end(step, begin, 0, "")
             return False
-        threads = 0 if self.jobs == 1 else self._cores_of_a_job
-        log = self.folder.log(step)
+        threads, log = 0 if self.jobs == 1 else self._cores_of_a_job, self.folder.log(step)
         process = self.runner(command, folder=self.folder.root, log=log, lock=lock, threads=threads)
         self._running[step.key] = _RunningStep(step, process, begin, command[0], label)
         return True
