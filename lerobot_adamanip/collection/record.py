@@ -28,7 +28,6 @@ from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
 from lerobot_adamanip.datasets.start_column import start_column
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
-from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
 from lerobot_adamanip.util.jobs import Heartbeat
 
@@ -209,7 +208,7 @@ def _episode_record(
     env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
 ) -> dict[str, Any]:
     episode_record = env.episode_record()
-    made = EpisodeRecord.from_json(episode_record)
+    tries = episode_record["try_sequence"]
     return {
         "object_id": request.object_id,
         "seed": attempt.seed,
@@ -219,8 +218,8 @@ def _episode_record(
         "success": attempt.success,
         "key_frames": attempt.key_frames,
         "task": env.task_description,
-        "tries": len(made.try_sequence),
-        "failed_tries": made.failed_tries,
+        "tries": len(tries),
+        "failed_tries": sum(failed for _, _, failed in tries),
         "episode_record": episode_record,
         "versions": {**env.software_versions(), "cpu": cpu_model()},
         "simulation_version": SIMULATION_VERSION,

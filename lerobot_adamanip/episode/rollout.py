@@ -58,7 +58,7 @@ class KeyframeEnvironment(Protocol):
         """Returns the hidden draw of this episode, JSON-able. Privileged."""
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns the record of the episode, JSON-able."""
+        """Returns the record of the episode, JSON-able, with its ``try_sequence``; see `EpisodeRecord`."""
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics and extrinsics of the front camera in this episode, JSON-able."""

@@ -58,8 +58,11 @@ class FakeEnv:
         self.drawn, self.lid, self.opened = self.locked, 0.0, False
         self.pose = transform((0.3, 0.0, 0.2))
         self.feedback, self.labels = Feedback(self.pose, 1.0), KeyFrameLabels()
-        self.steps = 0
+        self.steps, self.tries = 0, list[list[int | bool]]()
         return self.observe(), {"is_success": False}
+
+    def restart_episode(self) -> None:
+        self.steps, self.tries, self.labels = 0, [], KeyFrameLabels()
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         opened, truncated = self.drive(action)
@@ -72,7 +75,8 @@ class FakeEnv:
         stalled = self.locked and pulls
         failed = self.labels.trial + self.labels.failed
         way = 0.0 if stalled else float(action[0]) - self.pose[0, 3]
-        self.labels = KeyFrameLabels(0, stalled, way, failed) if pulls else KeyFrameLabels(trial=failed)
+        self.labels = KeyFrameLabels(0, stalled, way, failed, 1) if pulls else KeyFrameLabels(trial=failed)
+        self.tries += [[0, 1, stalled]] if pulls else []
         if action[2] > 0.5:
             self.locked = False
         if not stalled:
@@ -104,7 +108,7 @@ class FakeEnv:
         return {"locked": self.drawn}
 
     def episode_record(self) -> dict[str, Any]:
-        return {"seed": self.seed, "object_id": self.object_id, "key_frames": self.steps}
+        return {"seed": self.seed, "object_id": self.object_id, "key_frames": self.steps, "try_sequence": self.tries}
 
     def camera_parameters(self) -> dict[str, Any]:
         x = 0.01 * (self.seed or 0)

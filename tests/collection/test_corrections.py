@@ -52,7 +52,7 @@ def driven(share: float, seed: int = 4) -> tuple[list[KeyFrame], demos_fake_env.
         known = {"positions": positions, "feedback": feedback, "belief": belief, "generator": generator}
         return demos_fake_env.make_expert("safe", "adaptive", {}, **known)
 
-    corrected_rollout(env, observation, Correcting(actor, take_over, share, seed), seen.append)
+    corrected_rollout(env, observation, Correcting(actor, take_over, share, seed, np.random.default_rng(seed)), seen.append)
     return seen, actor
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -21,11 +21,13 @@ Array = NDArray[np.float64]
 
 TOUCH_FORCE = 1.0
 """Minimum force of a push along the joint's motion, or of a grip [N]; a weaker one is a graze."""
-PUSH_LAG, PUSH_TURN_LAG = 0.003, 0.015
-"""Minimum lag of a pushing hand [m, rad]: half of the lag that ends a motion as a stall, see `MotionLimits`."""
+PUSH_LAG, PUSH_TURN_LAG = 0.002, 0.01
+"""Minimum lag of a pushing hand [m, rad]: about 9 N, a third of the lag that ends a motion as a stall."""
 PUSH_WAY, PUSH_TURN = PUSH_LAG / 2, PUSH_TURN_LAG / 2
 """Minimum travel of a meant push since the arm was last free of strain [m, rad]. The arm is free of strain below half
 of the lag, so a hand that is held back while its target moves travels as far; one that is deflected does not."""
+PUSH_TICKS = 20
+"""Maximum number of control ticks of that travel. A hand that holds a lever against its spring is never free."""
 PUSH_SHARE = 0.7
 """Minimum share of a meant push along the part's motion; a hand that moves elsewhere only passes by."""
 NEAR_AXIS = 0.05
@@ -38,31 +40,22 @@ NO_ROOM = 1e-3
 
 @dataclass(frozen=True)
 class _Hand:
-    """Motion of the hand in one control tick: (4, 4) transforms that move points of the hand, robot base frame.
+    """Where the hand is sent in one control tick; (4, 4) poses and motions, robot base frame.
 
     Attributes:
-        behind: from the present pose to that of the joint targets.
-        sent: motion of the target since the arm was free of strain.
-        step: motion of the target in this tick.
+        wanted: tool pose of the joint targets.
+        before: the same at some ticks before, the latest last.
+        behind: motion from the present pose to ``wanted``.
     """
 
+    wanted: Array
+    before: list[Array]
     behind: Array
-    sent: Array
-    step: Array
 
-    def shifts(self, places: Array) -> list[Array]:
-        """Returns the motions of ``places`` (N, 3) [m] by each transform, three of (N, 3)."""
-        return [places @ each[:3, :3].T + each[:3, 3] - places for each in (self.behind, self.sent, self.step)]
-
-    @property
-    def turn(self) -> Array:
-        """Rotation vector (3,) of ``sent`` [rad]."""
-        return rotation_vector_from_matrix(self.sent[:3, :3])
-
-    def turns(self, axis: Array) -> list[float]:
-        """Returns the rotations about ``axis`` (3,) by each transform [rad]."""
-        transforms = (self.behind, self.sent, self.step)
-        return [float(rotation_vector_from_matrix(each[:3, :3]) @ axis) for each in transforms]
+    def sent(self) -> Iterator[Array]:
+        """Yields the motion of the target since each tick before, the latest first."""
+        for pose in reversed(self.before):
+            yield self.wanted @ np.linalg.inv(pose)
 
 
 class ArmContacts:
@@ -84,8 +77,7 @@ class ArmContacts:
         self._joints = named_joints(target, self._ranges)
         names = {joint.name: name for name, joint in self._joints.items()}
         self._carrying = {link.entity: _joints_above(link, names) for link in target.links}
-        self._free_at: Array | None = None
-        self._wanted: Array | None = None
+        self._before: list[Array] = []
 
     def pushes(self, wanted: Array, actual: Array) -> dict[str, Push]:
         """Returns the push on each joint that carries a touched link. Call this after every tick.
@@ -102,39 +94,39 @@ class ArmContacts:
             actual: present tool pose (4, 4).
         """
         behind = wanted @ np.linalg.inv(actual)
-        strain = float(np.linalg.norm(wanted[:3, 3] - actual[:3, 3])) / PUSH_LAG
         turn = float(np.linalg.norm(rotation_vector_from_matrix(behind[:3, :3]))) / PUSH_TURN_LAG
+        strain = float(np.linalg.norm(wanted[:3, 3] - actual[:3, 3])) / PUSH_LAG
         touched = self._touched()
-        if not touched or self._free_at is None or max(strain, turn) < 0.5:
-            self._free_at = wanted
-        before, self._wanted = wanted if self._wanted is None else self._wanted, wanted
-        hand = _Hand(behind, wanted @ np.linalg.inv(self._free_at), wanted @ np.linalg.inv(before))
-        return {
-            name: self._push(name, hand, *map(np.array, zip(*points, strict=True))) for name, points in touched.items()
-        }
+        if not touched or max(strain, turn) < 0.5:
+            self._before = self._before[-1:]
+        hand = _Hand(wanted, self._before or [wanted], behind)
+        self._before = [*self._before, wanted][-PUSH_TICKS:]
+        return {name: self._push(name, hand, *map(np.array, zip(*each, strict=True))) for name, each in touched.items()}
 
     def _push(self, name: str, hand: _Hand, places: Array, forces: Array) -> Push:
         """Returns the push on one joint from its contacts: ``places`` (N, 3) [m], ``forces`` on the part (N, 3) [N]."""
         joint, sizes = self._joints[name], np.linalg.norm(forces, axis=1)
-        axis, along, radii = _motion(joint, places)
-        weights = sizes / sizes.sum()
-        shifts = hand.shifts(places)
-        lag, way, step = (float(weights @ (shift * along).sum(1)) for shift in shifts)
-        net, grip = float((forces * along).sum()), float(sizes.sum() - np.linalg.norm(forces.sum(0)))
-        radius, whole = float(weights @ radii), float(weights @ np.linalg.norm(shifts[1], axis=1))
-        strain, is_along = lag / PUSH_LAG, abs(way) > max(PUSH_WAY, PUSH_SHARE * whole)
-        if joint.type != "prismatic":
-            turns = hand.turns(axis)
-            step = float(turns[2]) if radius < NEAR_AXIS else step / radius
-            if radius < NEAR_AXIS and abs(turns[0]) / PUSH_TURN_LAG > abs(strain):
-                strain, way = turns[0] / PUSH_TURN_LAG, turns[1]
-                other = PUSH_SHARE * (whole / METRES_PER_RADIAN + float(np.linalg.norm(hand.turn)))
-                is_along = abs(way) > max(PUSH_TURN, other)
+        axis, along, radius = _motion(joint, place := np.average(places, axis=0, weights=sizes))
+        is_near_axis = joint.type != "prismatic" and radius < NEAR_AXIS
+        strain, turn = (
+            float(_shift(hand.behind, place) @ along) / PUSH_LAG,
+            float(_turn(hand.behind) @ axis) / PUSH_TURN_LAG,
+        )
+        latest = next(hand.sent())
+        step = float(_turn(latest) @ axis) if is_near_axis else float(_shift(latest, place) @ along)
+        if joint.type != "prismatic" and not is_near_axis:
+            step /= radius
+        turns = is_near_axis and abs(turn) > abs(strain)
+        strain = turn if turns else strain
         direction = 1 if strain > 0 else -1
-        transmits = max(grip, direction * net) > TOUCH_FORCE
+        grip = float(sizes.sum() - np.linalg.norm(forces.sum(0)))
+        transmits = max(grip, direction * float(forces.sum(0) @ along)) > TOUCH_FORCE
         if not transmits or abs(strain) < 0.5 or self._room(name, direction) < NO_ROOM:
             return Push(step)
-        return Push(step, direction, bool(abs(strain) > 1 and is_along and direction * way > 0))
+        way = direction * (axis if turns else along)
+        return Push(
+            step, direction, abs(strain) > 1 and any(_is_along(each, place, way, turns) for each in hand.sent())
+        )
 
     def _room(self, name: str, way: float) -> float:
         """Returns how far a joint's nominal range lets it move in the direction of ``way`` [rad or m]."""
@@ -157,18 +149,38 @@ class ArmContacts:
         return touched
 
 
-def _motion(joint: Any, places: Array) -> tuple[Array, Array, Array]:
-    """Returns a joint's axis (3,), the unit vectors (N, 3) of the motion of ``places`` (N, 3) with it, and radii (N,).
+def _motion(joint: Any, place: Array) -> tuple[Array, Array, float]:
+    """Returns a joint's axis (3,), the unit vector (3,) of the motion of ``place`` (3,) with it, and a radius.
 
-    The radii [m] are distances from the axis of a revolute joint; on it the unit vector is zero.
+    The radius [m] is the distance from the axis of a revolute joint; on it the unit vector is zero.
     """
     pose = joint.global_pose.to_transformation_matrix().astype(np.float64)
     axis = pose[:3, 0]
     if joint.type == "prismatic":
-        return axis, np.tile(axis, (len(places), 1)), np.zeros(len(places))
-    across = np.cross(axis, places - pose[:3, 3])
-    radii = np.linalg.norm(across, axis=1)
-    return axis, across / np.maximum(radii, 1e-9)[:, None], radii
+        return axis, axis, 0.0
+    across = np.cross(axis, place - pose[:3, 3])
+    radius = float(np.linalg.norm(across))
+    return axis, across / max(radius, 1e-9), radius
+
+
+def _shift(motion: Array, place: Array) -> Array:
+    """Returns how far a motion (4, 4) moves ``place`` (3,) [m]."""
+    moved: Array = motion[:3, :3] @ place + motion[:3, 3] - place
+    return moved
+
+
+def _turn(motion: Array) -> Array:
+    """Returns the rotation vector (3,) of a motion (4, 4) [rad]."""
+    return rotation_vector_from_matrix(motion[:3, :3])
+
+
+def _is_along(motion: Array, place: Array, way: Array, turns: bool) -> bool:
+    """Returns whether a motion (4, 4) moves ``place`` (3,) mostly along ``way`` (3,), or turns mostly about it."""
+    shift, turn = _shift(motion, place), _turn(motion)
+    if not turns:
+        return bool(shift @ way > max(PUSH_WAY, PUSH_SHARE * float(np.linalg.norm(shift))))
+    whole = float(np.linalg.norm(shift)) / METRES_PER_RADIAN + float(np.linalg.norm(turn))
+    return bool(turn @ way > max(PUSH_TURN, PUSH_SHARE * whole))
 
 
 def _joints_above(link: Any, names: Mapping[str, str]) -> tuple[str, ...]:
