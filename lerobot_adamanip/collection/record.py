@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
-from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
 from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, write_outcome
 from lerobot_adamanip.collection.recorder import EpisodeRecorder
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
+from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
@@ -29,7 +29,6 @@ from lerobot_adamanip.datasets.start_column import start_column
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
-from lerobot_adamanip.util.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.util.jobs import Heartbeat
 
 EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
@@ -70,13 +69,13 @@ class RecordingJob:
         spec: specification of the collection.
         factories: of environments and experts.
         max_attempts: maximum number of seeds per episode.
-        fingerprint: required fingerprint of every environment.
+        versions: required software versions of every environment.
     """
 
     spec: CollectionSpec
     factories: Factories
     max_attempts: int
-    fingerprint: Mapping[str, str]
+    versions: Mapping[str, str]
 
 
 class Environments:
@@ -110,7 +109,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Hear
 
     def make(options: EnvironmentOptions) -> SimulatedEnvironment:
         env = job.factories.environment(options)
-        _require_fingerprint(env, job)
+        _require_versions(env, job)
         return env
 
     with Environments(make, job.spec) as environments:
@@ -126,14 +125,14 @@ def writing_session(
         yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 
 
-def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
-    found = collection_fingerprint(env)
-    if parts := differing_parts(found, job.fingerprint):
+def _require_versions(env: SimulatedEnvironment, job: RecordingJob) -> None:
+    found = env.software_versions()
+    if parts := differing_parts(found, job.versions):
         raise DatasetError(
-            f"A worker has another fingerprint than the collection: {', '.join(parts)} differ.",
+            f"A worker has other versions than the collection: {', '.join(parts)} differ.",
             got="; ".join(f"{name} = {found.get(name)}" for name in parts),
-            allowed="; ".join(f"{name} = {job.fingerprint.get(name)}" for name in parts),
-            hint="the same command again; was the code changed meanwhile?",
+            allowed="; ".join(f"{name} = {job.versions.get(name)}" for name in parts),
+            hint="the same command again; was the code or a package changed meanwhile?",
         )
 
 
@@ -222,8 +221,9 @@ def _episode_record(
         "tries": len(tries),
         "failed_tries": sum(failed for _, _, failed in tries),
         "episode_record": episode_record,
-        "versions": {**versions(), "cpu": cpu_model()},
-        "fingerprint": combined(collection_fingerprint(env)),
+        "versions": {**env.software_versions(), "cpu": cpu_model()},
+        "simulation_version": SIMULATION_VERSION,
+        "data_version": DATA_VERSION,
     }
 
 

@@ -188,7 +188,7 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
         max_failed_tries=None,
         poses="randomized",
         try_sequence=tries,
-        provenance=Provenance(str(row.get("fingerprint") or ""), "", "paper"),
+        provenance=Provenance(int(row.get("simulation_version") or 0), "", "paper"),
     )
 
 

@@ -51,8 +51,8 @@ class KeyframeEnvironment(Protocol):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the object's joints, in the order of `labels`; the joint that opens comes first."""
 
-    def fingerprint(self) -> dict[str, str]:
-        """Returns part -> hash or name of all that episodes depend on; see `lerobot_adamanip.util.fingerprint`."""
+    def software_versions(self) -> dict[str, str]:
+        """Returns name -> version of all that episodes depend on; see `lerobot_adamanip.contract.versions`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden draw of this episode, JSON-able. Privileged."""

@@ -28,20 +28,22 @@ class Provenance:
     """Software and run behind an episode.
 
     Attributes:
-        fingerprint: hash of the code that affects episodes, see `lerobot_adamanip.util.fingerprint.combined`.
+        simulation_version: see `lerobot_adamanip.contract.versions.SIMULATION_VERSION`.
         version: of this package.
         mechanism_rules: rule set of the mechanisms, see `lerobot_adamanip.mechanisms`.
         run_id: shared by all environments of an evaluation; None outside one.
         run_label: label given by the user, for instance the policy's name; None without one.
         evaluation: index of the evaluation in its run, from 0. It grows when an environment repeats an episode.
+        versions: installed versions, see `lerobot_adamanip.contract.versions.installed_versions`.
     """
 
-    fingerprint: str
+    simulation_version: int
     version: str
     mechanism_rules: str
     run_id: str | None = None
     run_label: str | None = None
     evaluation: int = 0
+    versions: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raises an error for a label that a log cannot hold."""
@@ -204,11 +206,12 @@ _RECORD = json_fields.table(
         "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),
         "joints": json_fields.mapping(_TEXT, json_fields.number(-1e9, 1e9), 50),
-        "fingerprint": json_fields.text(r"[0-9a-f]{8,64}", "a hash"),
+        "simulation_version": json_fields.integer(1, 10**6),
         "version": _TEXT,
         "mechanism_preset": json_fields.choice(tuple(MECHANISM_RULES)),
         "run_id": json_fields.optional(_TEXT),
         "run_label": json_fields.optional(json_fields.text(LABEL, "a label")),
         "evaluation": _COUNT,
+        "versions": json_fields.mapping(_TEXT, _TEXT, 30),
     }
 )

@@ -15,6 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.contract.versions import software_versions
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import Belief
 from lerobot_adamanip.util import files
@@ -40,8 +41,8 @@ class FakeEnv:
         self.delay, self.crash, self.hopeless, self.code = delay, crash, hopeless, code
         self.annotations: Mapping[str, Any] = {}
 
-    def fingerprint(self) -> dict[str, str]:
-        return {"fake": "1", "code": self.code}
+    def software_versions(self) -> dict[str, str]:
+        return {**software_versions(), "code": self.code}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         wanted = options or {}

@@ -7,9 +7,10 @@ from typing import Any
 
 from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.contract.seeds import split_of
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 
-MADE = Provenance("0123456789abcdef", "0.2.0", "paper", "run", None, 0)
+MADE = Provenance(SIMULATION_VERSION, "0.3.0", "paper", "run", None, 0, {"torch": "2.11.0"})
 HIDDEN: dict[str, dict[str, Any]] = {
     "safe": {"locked": False, "direction": 1, "knob_range": 1.2},
     "microwave": {"locked": False},

@@ -235,8 +235,11 @@ def test_what_must_not_be_mixed_or_compared_is_said() -> None:
     assert said(plain, plain) == ""
     assert "test and validation scenes are mixed" in said([*plain, record(seed=1_000_001)])
     assert "demonstrations are recorded in" in said([record(seed=2**24)])
-    assert "more than one fingerprint" in said([*plain, record(seed=3, fingerprint="ffffffffffffffff")])
-    assert "fingerprints differ" in said(plain, [record(fingerprint="ffffffffffffffff")])
+    assert "more than one simulation version" in said([*plain, record(seed=3, simulation_version=1)])
+    assert "simulation versions differ" in said(plain, [record(simulation_version=1)])
+    newer = record(seed=3, versions={"torch": "2.12.0", "numpy": "2.0"})
+    for groups in ([[*plain, newer]], [plain, [newer]]):
+        assert said(*groups) == "measured with different versions installed: torch 2.11.0 and 2.12.0"
     assert "mechanism rules differ" in said(plain, [record(mechanism_rules="upstream")])
     assert "splits of scenes differ" in said(plain, [record(seed=1_000_001)])
 
