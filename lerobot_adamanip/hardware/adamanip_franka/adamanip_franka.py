@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import time
 from dataclasses import fields
 from functools import cached_property, partial
@@ -95,7 +96,7 @@ class AdamanipFranka(Robot):
                 "The cameras of this robot are not calibrated.",
                 got=f"no complete {self.calibration_file}",
                 allowed="a calibration of every camera with depth",
-                hint="adamanip calibrate",
+                hint=f"adamanip calibrate views --record robot.json --out {shlex.quote(str(self.calibration_file))}",
             )
         self._read_calibrations()
 

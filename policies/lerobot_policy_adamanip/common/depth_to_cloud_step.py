@@ -143,7 +143,7 @@ class DepthToCloudStep(SameFeaturesStep):
             got=got,
             allowed=f"a calibration file of the robot with camera {self.camera}, or one named in the checkpoint's "
             "policy_preprocessor.json, step adamanip_depth_to_cloud, field calibration",
-            hint="adamanip calibrate",
+            hint="adamanip calibrate views --record robot.json --out FILE",
         )
 
     def get_config(self) -> dict[str, Any]:
