@@ -17,8 +17,8 @@ def close_all(calls: Iterable[Callable[[], object]]) -> None:
             call()
         except BaseException as error:
             errors.append(error)
-    for error in errors[1:]:
-        _logger.warning("Closing failed as well: %s", error)
+    for later in errors[1:]:
+        _logger.warning("Closing failed as well: %s", later)
     if errors:
         raise errors[0]
 

@@ -106,7 +106,7 @@ def test_the_command_that_lists_problems_of_assets_finds_them(tmp_path: Path) ->
     folder.mkdir()
     partnet_safe(folder / "101564")
     with pytest.raises(ConfigurationError) as caught:
-        AssetSource(folder).ids("safe")
+        AssetSource(folder).select("safe", "all")
     command = printed(caught.value)
     assert (Path(command.assets), command.category) == (folder, "safe")
 
