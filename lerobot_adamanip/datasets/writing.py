@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.statistics import write_episodes
@@ -29,6 +29,7 @@ def create_dataset(
     intrinsics: list[list[float]] | None,
     cameras: Collection[str] = CAMERAS,
     workspace: Workspace | None = None,
+    depth_camera: str = FRONT,
 ) -> Any:
     """Returns an empty LeRobotDataset with the contract's columns.
 
@@ -40,6 +41,7 @@ def create_dataset(
         intrinsics: (3, 3) of the front camera at that size [px], if known.
         cameras: names of the cameras of the images, including the front one.
         workspace: box of the clouds, if no manifest has it and it is not the default.
+        depth_camera: key of the camera whose depth becomes the clouds.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -47,6 +49,8 @@ def create_dataset(
     cameras = () if image_size is None else cameras
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
     features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
+    if depth_camera != FRONT:
+        features[schema.POINT_CLOUD]["info"]["camera"] = depth_camera
     if cameras:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
