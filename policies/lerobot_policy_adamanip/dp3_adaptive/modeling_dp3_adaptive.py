@@ -86,7 +86,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy._attach_dataset(dataset_meta, is_trained=True)
-        if policy._windows is not None and policy.config.frame == "base":
+        if policy._windows is not None and policy.config.frame == "base" and policy.config.has_pose_layout:
             # LeRobot reads them next, for the processors of a fine-tuned policy, without calling the policy.
             dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
         if policy._windows is not None and policy.config.frame == "tool":
