@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lerobot.configs import PreTrainedConfig, parser
 
@@ -15,10 +15,13 @@ if TYPE_CHECKING:
 def require_same_workspace(environment: AdaManipEnvConfig) -> None:
     """Raises `ConfigurationError` if the policy of ``--policy.path`` tells another box of its clouds."""
     path = parser.get_path_arg("policy")
-    policy = None if path is None else PreTrainedConfig.from_pretrained(path)
+    if path is None:
+        return
+    policy: Any = PreTrainedConfig.from_pretrained(path)
     if not hasattr(policy, "workspace_lower"):
         return
-    trained, offered = ((tuple(each.workspace_lower), tuple(each.workspace_upper)) for each in (policy, environment))
+    trained = tuple(policy.workspace_lower), tuple(policy.workspace_upper)
+    offered = environment.workspace_lower, environment.workspace_upper
     if trained != offered:
         options = zip(("lower", "upper"), map(list, trained), strict=True)
         raise ConfigurationError(

@@ -48,9 +48,12 @@ def create_dataset(
     quieten()
     cameras = () if image_size is None else cameras
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
-    if depth_camera != FRONT:
-        features[schema.POINT_CLOUD]["info"]["camera"] = depth_camera
+    features[schema.POINT_CLOUD]["info"] = {
+        "unit": "m",
+        "frame": "robot_base",
+        **workspace_info(workspace),
+        **camera_info(depth_camera),
+    }
     if cameras:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
@@ -69,6 +72,11 @@ def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
     if workspace is None:
         return {}
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
+
+
+def camera_info(depth_camera: str) -> dict[str, str]:
+    """Returns the entry for a cloud column's description that holds its camera; `FRONT` is not stored."""
+    return {} if depth_camera == FRONT else {"camera": depth_camera}
 
 
 def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:
