@@ -48,12 +48,7 @@ def create_dataset(
     quieten()
     cameras = () if image_size is None else cameras
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
-    features[schema.POINT_CLOUD]["info"] = {
-        "unit": "m",
-        "frame": "robot_base",
-        **workspace_info(workspace),
-        **camera_info(depth_camera),
-    }
+    features[schema.POINT_CLOUD]["info"] = cloud_info(workspace, depth_camera)
     if cameras:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
@@ -74,9 +69,10 @@ def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
 
 
-def camera_info(depth_camera: str) -> dict[str, str]:
-    """Returns the entry for a cloud column's description that holds its camera; `FRONT` is not stored."""
-    return {} if depth_camera == FRONT else {"camera": depth_camera}
+def cloud_info(workspace: Workspace | None, depth_camera: str) -> dict[str, Any]:
+    """Returns the description of a cloud column; workspace and camera are stored if they are not the default."""
+    info = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
+    return info if depth_camera == FRONT else {**info, "camera": depth_camera}
 
 
 def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:
