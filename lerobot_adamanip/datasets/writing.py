@@ -40,8 +40,7 @@ def create_dataset(
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
         cameras: names of the cameras of the images, including the front one.
-        workspace: box of the clouds, if no manifest has it and it is not the default.
-        depth_camera: key of the camera whose depth becomes the clouds.
+        workspace, depth_camera: see `cloud_info`.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -70,7 +69,12 @@ def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
 
 
 def cloud_info(workspace: Workspace | None, depth_camera: str) -> dict[str, Any]:
-    """Returns the description of a cloud column; workspace and camera are stored if they are not the default."""
+    """Returns the description of a cloud column.
+
+    Args:
+        workspace: box of the clouds, if no manifest has it and it is not the default.
+        depth_camera: key of the camera whose depth becomes the clouds; `FRONT` is not stored.
+    """
     info = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
     return info if depth_camera == FRONT else {**info, "camera": depth_camera}
 
