@@ -39,8 +39,9 @@ def create_dataset(
         num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
-        cameras: names of the cameras of the images, including the front one.
-        workspace, depth_camera: see `cloud_info`.
+        cameras: names of the cameras of the images.
+        workspace: see `cloud_info`.
+        depth_camera: see `cloud_info`.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
