@@ -16,7 +16,12 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.statistics import write_episodes
 
-_VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
+_OPTIONS: dict[str, Any] = {
+    "robot_type": "panda",
+    "encoder_threads": ENCODER_THREADS,
+    "video_backend": "pyav",
+    "video_files_size_in_mb": 25,
+}
 """Files are small because LeRobot copies the whole video file to append an episode."""
 
 
@@ -56,8 +61,7 @@ def create_dataset(
         fps=schema.FPS,
         features=features,
         root=root,
-        robot_type="panda",
-        **_VIDEO,
+        **_OPTIONS,
         rgb_encoder=video_encoder(),
     )
 
