@@ -151,7 +151,9 @@ class AdaManipEnvConfig(EnvConfig):
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
         from lerobot_adamanip.evaluation.log import new_run_id
         from lerobot_env_adamanip.vector import make_vector_env
+        from lerobot_env_adamanip.workspace_check import require_same_workspace
 
+        require_same_workspace(self)
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": self._observes_images(), "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
