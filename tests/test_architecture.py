@@ -17,7 +17,6 @@ import pytest
 from lerobot_adamanip import AdaManipError
 from lerobot_adamanip.util import errors
 from lerobot_adamanip.util.import_graph import our_import_graph
-from lerobot_adamanip.util.moved import MOVED
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"
@@ -142,15 +141,25 @@ def test_no_loose_module_at_the_top_of_the_core() -> None:
     assert loose == {"__init__.py", "catalog.py", "py.typed"}
 
 
-@pytest.mark.parametrize("old", MOVED)
-def test_an_old_module_names_its_new_place(old: str) -> None:
-    with pytest.raises(ModuleNotFoundError, match=re.escape(f"lerobot_adamanip.{MOVED[old]}")):
-        importlib.import_module(f"{CORE}.{old}")
-    if old != "demos":
-        importlib.import_module(f"{CORE}.{MOVED[old]}")
+SIDE_EFFECTS = """
+import os, signal, sys
+hooks = []
+os.register_at_fork = lambda **functions: hooks.extend(functions.values())
+def state():
+    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
+    return list(sys.meta_path), list(sys.path_hooks), dict(os.environ), handlers
+before = state()
+import lerobot_adamanip, lerobot_adamanip.datasets.output_folder, lerobot_adamanip.util.jobs
+assert state() == before
+assert not [hook for hook in hooks if hook.__module__.startswith("lerobot_adamanip")], hooks
+"""
 
 
-def test_other_missing_modules_are_reported_as_ever() -> None:
+def test_importing_the_core_changes_nothing_of_the_process() -> None:
+    subprocess.run([sys.executable, "-c", SIDE_EFFECTS], check=True)
+
+
+def test_a_missing_module_is_reported_as_ever() -> None:
     assert AdaManipError is errors.AdaManipError
     with pytest.raises(ModuleNotFoundError, match=re.escape("No module named 'lerobot_adamanip.schemas'")):
         importlib.import_module("lerobot_adamanip.schemas")

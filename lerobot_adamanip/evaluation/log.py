@@ -37,14 +37,7 @@ def read_log(path: Path) -> list[EpisodeRecord]:
         DatasetError: the log is missing, holds no episode, or was written by another version.
     """
     advice = f"lerobot-eval --env.type=adamanip_safe --env.episode_log={path} ..."
-    if path.is_dir():
-        dataset = (path / "meta").is_dir()
-        raise DatasetError(
-            "This is a dataset, not an episode log." if dataset else "This is a folder, not an episode log.",
-            got=path,
-            allowed="a file that lerobot-eval --env.episode_log=FILE wrote",
-            hint=f"adamanip stats {path}" if dataset else f"a file in {path}",
-        )
+    _require_file(path)
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
     except OSError as error:
@@ -74,3 +67,14 @@ def read_log(path: Path) -> list[EpisodeRecord]:
             "%s: skipped damaged lines (%s); their episodes are not counted", path, listed(damaged)
         )
     return records
+
+
+def _require_file(path: Path) -> None:
+    if path.is_dir():
+        dataset = (path / "meta").is_dir()
+        raise DatasetError(
+            "This is a dataset, not an episode log." if dataset else "This is a folder, not an episode log.",
+            got=path,
+            allowed="a file that lerobot-eval --env.episode_log=FILE wrote",
+            hint=f"adamanip stats {path}" if dataset else f"a file in {path}",
+        )
