@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.evaluation.groups import (
     ALL,
     Boundaries,
@@ -19,8 +20,12 @@ from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
 from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.text_format import interval_text
+from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
 
 _MADE_BY = ("fingerprint", "version", "mechanism_rules")
+_NO_DATA = frozenset({"-", "0/0"})
+_LIMITS = {"max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses"}
+"""Field of a record that decides how hard its episode is -> what a warning calls its values."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +39,7 @@ class EvaluationSummary:
         objects: success by object id.
         made_by: ``fingerprint``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each if
             evaluations were mixed.
+        limits: field of a record in `_LIMITS` -> values that occur, as text.
     """
 
     episodes: int
@@ -41,6 +47,7 @@ class EvaluationSummary:
     groups: Mapping[Group, Metrics]
     objects: Mapping[str, Rate]
     made_by: Mapping[str, tuple[str, ...]]
+    limits: Mapping[str, tuple[str, ...]]
 
     @property
     def scenes(self) -> str:
@@ -88,6 +95,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         groups={group: measure(chosen) for group, chosen in group_records(kept, boundaries).items()},
         objects={name: rate(sum(each), len(each)) for name, each in sorted(objects.items())},
         made_by={name: tuple(sorted({getattr(each.provenance, name) for each in kept})) for name in _MADE_BY},
+        limits={name: tuple(sorted({str(getattr(each, name, None)) for each in kept})) for name in _LIMITS},
     )
 
 
@@ -134,13 +142,16 @@ class Comparison:
         yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in found)]
         for group in self.groups:
             yield [group.label, *(interval_text(summary.success(group)) for summary in found)]
-        for name, metric in METRICS.items():
-            if name not in ("success", "hidden"):  # the groups show both
-                yield [metric.title, *(summary.overall.show(name) for summary in found)]
+        rows = [
+            [metric.title, *(summary.overall.show(name) for summary in found)]
+            for name, metric in METRICS.items()
+            if name not in ("success", "hidden")  # the groups show both
+        ]
         for group in self.groups:
             if group.by in ("category", "hidden"):
                 cells = [each.groups[group].show("wasted_tries") if group in each.groups else "-" for each in found]
-                yield [f"wasted tries, {group.label}", *cells]
+                rows.append([f"wasted tries, {group.label}", *cells])
+        yield from (row for row in rows if not set(row[1:]) <= _NO_DATA)
 
     def lines(self) -> Iterator[str]:
         """Yields the lines below the table: repeats, differences, failures by object, warnings."""
@@ -200,6 +211,9 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
             yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
         if "train" in summary.scenes:
             yield f"{label}: scenes that demonstrations are recorded in are among these"
+        for rules in summary.made_by["mechanism_rules"]:
+            if line := unchanged_rules(map(category_of, summary.objects), rules):
+                yield f"{label}: {line}"
         for name in ("fingerprint", "mechanism_rules"):
             if len(found := summary.made_by[name]) > 1:
                 yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
@@ -207,6 +221,7 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
         ("fingerprints", [summary.made_by["fingerprint"] for summary in summaries.values()]),
         ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
         ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
+        *((what, [summary.limits[name] for summary in summaries.values()]) for name, what in _LIMITS.items()),
     ):
         if len(set(sets)) > 1:
             told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))

@@ -66,3 +66,12 @@ def test_on_a_terminal_it_is_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "working" in terminal.getvalue()
     assert "2/5" in terminal.getvalue()
     assert "safe" in terminal.getvalue()
+
+
+def test_the_time_left_is_that_of_this_run() -> None:
+    clock, stream = Clock(), io.StringIO()
+    shown = ProgressLines({"work": "working"}, stream, clock)
+    shown("work", 90, 100)  # recorded by an earlier run
+    clock.now = 50
+    shown("work", 95, 100)
+    assert stream.getvalue().splitlines()[-1] == "working: 95/100 (95 %) after 50 s, about 50 s left"
