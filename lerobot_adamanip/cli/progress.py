@@ -40,13 +40,18 @@ class ProgressLines:
     stream: TextIO = field(default_factory=lambda: sys.stderr)
     clock: Callable[[], float] = time.monotonic
     _stages: dict[str, _Stage] = field(default_factory=dict)
+    _begin: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Starts the first stage's time, which includes the start of simulators."""
+        self._begin = self.clock()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Writes a line if one is due."""
         if stage not in self.names:
             return
         now, share = self.clock(), done / max(1, total)
-        known = self._stages.setdefault(stage, _Stage(now, share))
+        known = self._stages.setdefault(stage, _Stage(now if self._stages else self._begin, share))
         since = now - known.printed_at
         is_due = since >= MAX_INTERVAL_S or share - known.printed_share >= MAX_INTERVAL_SHARE
         is_last = done >= total and known.printed_share < 1.0

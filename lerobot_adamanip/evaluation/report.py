@@ -217,12 +217,13 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
         for name in ("fingerprint", "mechanism_rules"):
             if len(found := summary.made_by[name]) > 1:
                 yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
-    for what, sets in (
+    compared: list[tuple[str, list[tuple[str, ...]]]] = [
         ("fingerprints", [summary.made_by["fingerprint"] for summary in summaries.values()]),
         ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
         ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
         *((what, [summary.limits[name] for summary in summaries.values()]) for name, what in _LIMITS.items()),
-    ):
+    ]
+    for what, sets in compared:
         if len(set(sets)) > 1:
             told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
             yield f"not to be compared: {what} differ ({told})"
