@@ -144,6 +144,24 @@ def test_no_loose_module_at_the_top_of_the_core() -> None:
     assert loose == {"__init__.py", "catalog.py", "py.typed"}
 
 
+SIDE_EFFECTS = """
+import os, signal, sys
+hooks = []
+os.register_at_fork = lambda **functions: hooks.extend(functions.values())
+def state():
+    handlers = [signal.getsignal(number) for number in signal.valid_signals()]
+    return list(sys.meta_path), list(sys.path_hooks), dict(os.environ), handlers
+before = state()
+import lerobot_adamanip, lerobot_adamanip.datasets.output_folder, lerobot_adamanip.util.jobs
+assert state() == before
+assert not [hook for hook in hooks if hook.__module__.startswith("lerobot_adamanip")], hooks
+"""
+
+
+def test_importing_the_core_changes_nothing_of_the_process() -> None:
+    subprocess.run([sys.executable, "-c", SIDE_EFFECTS], check=True)
+
+
 def test_other_missing_modules_are_reported_as_ever() -> None:
     assert AdaManipError is errors.AdaManipError
     with pytest.raises(ModuleNotFoundError, match=re.escape("No module named 'lerobot_adamanip.schemas'")):

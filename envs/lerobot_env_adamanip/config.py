@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -65,7 +66,7 @@ class AdaManipEnvConfig(EnvConfig):
     observe_images: bool | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
-    # Rules of mechanisms: paper (the paper's text), upstream (its code), or hard (this project's); docs/categories.md.
+    # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
     mechanism_rules: str = "paper"
     # Maximum key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
@@ -150,10 +151,13 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
         """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
         from lerobot_adamanip.evaluation.log import new_run_id
+        from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
         from lerobot_env_adamanip.vector import make_vector_env
         from lerobot_env_adamanip.workspace_check import require_same_workspace
 
         require_same_workspace(self)
+        if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
+            logging.getLogger(__name__).warning(line)
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": self._observes_images(), "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
 import re
 import shutil
@@ -166,6 +167,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
     path, descriptor = lock_path(root), None
     try:
         descriptor = _locked(path)
+        _close_locks_in_forks()
         _held.add(descriptor)
     except BlockingIOError as error:
         raise DatasetError(
@@ -208,8 +210,12 @@ def _close_locks() -> None:
         os.close(_held.pop())
 
 
+@functools.cache
+def _close_locks_in_forks() -> None:
+    os.register_at_fork(after_in_child=_close_locks)
+
+
 _held: set[int] = set()
-os.register_at_fork(after_in_child=_close_locks)
 
 
 def _require_ours(work: Path, names: tuple[str, ...]) -> None:
