@@ -21,7 +21,7 @@ from lerobot_adamanip.datasets.encoding import quieten
 from lerobot_adamanip.datasets.reading import as_typed, read_back, workspace_of
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, workspace_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense
 from lerobot_adamanip.util import files
@@ -146,7 +146,7 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
 
 def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
-    sort_statistics(out)
+    write_statistics(out, pieces[0][0].info["features"])
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
     add_episode_columns(out, columns)

@@ -65,11 +65,20 @@ def open_dataset(root: str | Path, *, num_points: int | None = None, **options: 
     return LeRobotDataset(f"local/{folder.name}", root=folder, **options)
 
 
-def episode_table(root: str | Path) -> pa.Table:
-    """Returns the per-episode columns of a dataset, without statistics, ordered by episode."""
+def episode_table(root: str | Path, *, statistics: bool = False) -> pa.Table:
+    """Returns the per-episode columns of a dataset, ordered by episode; statistics only if wanted."""
     paths = sorted((Path(root) / "meta" / "episodes").glob("*/*.parquet"))
-    table = pa.concat_tables(map(pq.read_table, paths)).sort_by("episode_index")
-    return table.select([name for name in table.column_names if not name.startswith("stats/")])
+    tables = [read_episodes(path, statistics=statistics) for path in paths]
+    return pa.concat_tables(tables, promote_options="default").sort_by("episode_index")
+
+
+def read_episodes(path: Path, *, statistics: bool = False) -> pa.Table:
+    """Returns a file of ``meta/episodes``, with or without statistics; never with those of clouds.
+
+    LeRobot's tools write statistics of each coordinate of a cloud, which are most of the file.
+    """
+    left_out = f"stats/{schema.POINT_CLOUD}/" if statistics else "stats/"
+    return pq.read_table(path, columns=[name for name in pq.read_schema(path).names if not name.startswith(left_out)])
 
 
 def episode_records(root: str | Path) -> list[dict[str, Any]]:

@@ -8,13 +8,15 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.dataset as pads
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from lerobot_adamanip.datasets.encoding import PLACE
-from lerobot_adamanip.datasets.reading import DATA_PATH, load_check
+from lerobot_adamanip.datasets.reading import DATA_PATH, episode_table, load_check
 from lerobot_adamanip.datasets.selection import Selection, read_selection
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import DatasetError
@@ -46,10 +48,16 @@ class Source:
 
     @cached_property
     def episodes(self) -> pa.Table:
-        """One row per episode, in order, including statistics."""
-        paths = sorted((self.root / "meta" / "episodes").glob("*/*.parquet"))
-        table = pa.concat_tables([pq.read_table(path) for path in paths], promote_options="default")
-        return table.sort_by("episode_index").replace_schema_metadata(None)
+        """One row per episode, in order, without statistics."""
+        return episode_table(self.root).replace_schema_metadata(None)
+
+    @cached_property
+    def _statistics(self) -> dict[str, NDArray[Any] | pa.ChunkedArray]:
+        """Columns of the episodes' statistics, as arrays where every episode has them."""
+        table = episode_table(self.root, statistics=True)
+        columns = {name: table[name] for name in table.column_names if name.startswith("stats/")}
+        arrays = {name: numeric_array(column) for name, column in columns.items()}
+        return {name: column if arrays[name] is None else arrays[name] for name, column in columns.items()}
 
     @cached_property
     def own_columns(self) -> pa.Table:
@@ -75,8 +83,12 @@ class Source:
 
     def row(self, episode: int) -> dict[str, Any]:
         """Returns an episode's row of ``meta/episodes``."""
-        found: dict[str, Any] = self.episodes.slice(episode, 1).to_pylist()[0]
-        return found
+        return self._rows[episode]
+
+    @cached_property
+    def _rows(self) -> list[dict[str, Any]]:
+        rows: list[dict[str, Any]] = self.episodes.to_pylist()
+        return rows
 
     def rows(self, row: Mapping[str, Any]) -> pa.Table:
         """Returns the data rows of an episode, given its `row`; raises `DatasetError` if rows are missing."""
@@ -100,9 +112,10 @@ class Source:
     def stats(self, episode: int) -> dict[str, dict[str, Any]]:
         """Returns an episode's stored statistics, column -> name -> array."""
         found: dict[str, dict[str, Any]] = {}
-        for name in self.episodes.column_names:
+        for name, column in self._statistics.items():
             key, _, statistic = name.removeprefix("stats/").rpartition("/")
-            values = numeric_array(self.episodes[name].slice(episode, 1)) if name.startswith("stats/") else None
+            one = column[episode : episode + 1]
+            values = one if isinstance(one, np.ndarray) else numeric_array(one)
             if values is not None and key not in PLACE:
                 found.setdefault(key, {})[statistic] = values[0]
         return found

@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
+from lerobot_adamanip.datasets.reading import read_episodes
 from lerobot_adamanip.datasets.statistics import write_episodes
 
 _VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
@@ -71,7 +71,7 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
     """Adds columns, one value per episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
     added = columns if isinstance(columns, pa.Table) else pa.table(columns)
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
-        table = pq.read_table(path)
+        table = read_episodes(path, statistics=True)
         mine = added.take(table["episode_index"])
         for name in mine.column_names:
             if name not in table.column_names:

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.check.findings import Report, first_line
-from lerobot_adamanip.datasets.reading import DATA_PATH, VIDEO_PATH, read_info
+from lerobot_adamanip.datasets.reading import DATA_PATH, VIDEO_PATH, read_episodes, read_info
 
 INFO, STATS, TASKS, CAMERAS, ATTEMPTS = (
     f"meta/{name}" for name in ("info.json", "stats.json", "tasks.parquet", "cameras.json", "attempts.jsonl")
@@ -149,7 +149,7 @@ def _episode_table(root: Path, report: Report) -> pa.Table:
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         name = path.relative_to(root).as_posix()
         try:
-            table = pq.read_table(path).replace_schema_metadata(None)
+            table = read_episodes(path, statistics=True).replace_schema_metadata(None)
             if not {"episode_index", "length"} <= set(table.column_names):
                 raise KeyError("the file does not list episodes")
             tables.append(table.append_column("listed_in", pa.array([name] * len(table), pa.string())))
