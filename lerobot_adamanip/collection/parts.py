@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -18,6 +17,7 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.fingerprint import combined
 from lerobot_adamanip.util.jobs import JobResult
+from lerobot_adamanip.util.json_fields import read
 
 
 @dataclass(frozen=True)
@@ -106,7 +106,7 @@ def given_up(paths: CollectionPaths, items: Iterable[EpisodeSpec], max_attempts:
     results = []
     for item in items:
         with contextlib.suppress(OSError, ValueError, TypeError):
-            attempts = [Attempt(**each) for each in json.loads(attempts_file(paths, item).read_text())]
+            attempts = [Attempt(**each) for each in read(attempts_file(paths, item))]
             if len(attempts) >= max_attempts:
                 results.append(JobResult(item, ItemOutcome(tuple(attempts))))
     return results

@@ -15,14 +15,30 @@ import pyarrow.dataset as pads
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
+from lerobot_adamanip.datasets.description import DATA_PATH, TASK, UntrustedValueError, check_episode_text
 from lerobot_adamanip.datasets.encoding import PLACE
-from lerobot_adamanip.datasets.reading import DATA_PATH, episode_table, load_check
+from lerobot_adamanip.datasets.reading import damaged, episode_table, load_check, untrusted
 from lerobot_adamanip.datasets.selection import Selection, read_selection
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import DatasetError
 
 _OF_LEROBOT = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
 _OF_LEROBOT_PREFIXES = ("stats/", "data/", "videos/", "meta/")
+
+
+_PLACES = ("episode_index", "length", "dataset_from_index", "dataset_to_index")
+_INDEX, _TIME = json_fields.integer(0, 2**40), json_fields.number(0, 1e9)
+
+
+def _check_place(name: str, value: object) -> None:
+    """Raises ValueError for a place of an episode that cannot be, or a text that is not passed on."""
+    if name in _PLACES or (name.startswith(("data/", "videos/", "meta/")) and name.endswith("_index")):
+        _INDEX(name, value)
+    elif name.startswith("videos/"):
+        _TIME(name, value)
+    else:
+        check_episode_text(name, value)
 
 
 @dataclass(frozen=True)
@@ -70,7 +86,11 @@ class Source:
     def tasks(self) -> list[str]:
         """Task texts by index."""
         table = pq.read_table(self.root / "meta" / "tasks.parquet").sort_by("task_index").to_pandas()
-        return [str(task) for task in (table["task"] if "task" in table.columns else table.index)]
+        texts = [str(task) for task in (table["task"] if "task" in table.columns else table.index)]
+        try:
+            return [TASK("a task", text) for text in texts]
+        except ValueError as error:
+            raise untrusted(self.root, error) from error
 
     @cached_property
     def selection(self) -> Selection:
@@ -88,6 +108,14 @@ class Source:
     @cached_property
     def _rows(self) -> list[dict[str, Any]]:
         rows: list[dict[str, Any]] = self.episodes.to_pylist()
+        try:
+            for row in rows:
+                for name, value in row.items():
+                    _check_place(name, value)
+        except UntrustedValueError as error:
+            raise untrusted(self.root, error) from error
+        except ValueError as error:
+            raise damaged(self.root, f"meta/episodes: {error}") from error
         return rows
 
     def rows(self, row: Mapping[str, Any]) -> pa.Table:

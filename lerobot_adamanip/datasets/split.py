@@ -98,7 +98,7 @@ def _groups(facts: Sequence[Facts], by: str) -> dict[Any, list[int]]:
         raise ConfigurationError(
             "Not every episode has this column.", got=repr(by), allowed=", ".join(known), hint="--by object_id"
         )
-    return {value: found[value] for value in sorted(found)}
+    return {value: found[value] for value in sorted(found, key=lambda value: (isinstance(value, str), value))}
 
 
 def _folder_name(by: str, value: object) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable, Iterator, Mapping
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -32,8 +33,9 @@ def compute_statistics(
 ) -> dict[str, dict[str, Any]]:
     """Computes an episode's statistics by LeRobot's function, without those of the cloud.
 
-    Statistics of a single coordinate of a farthest-point ordered cloud mean nothing, and take most of ``meta/episodes``.
-    ``columns`` are (T, ...) values, or paths of T images. Returns column -> statistic -> values in a row's shape.
+    Statistics of a single coordinate of a farthest-point ordered cloud mean nothing, and would be most of
+    ``meta/episodes``. ``columns`` are (T, ...) values, or paths of T images. Returns column -> statistic -> values in a
+    row's shape.
     """
     from lerobot.datasets.compute_stats import compute_episode_stats
 
@@ -47,15 +49,22 @@ def write_statistics(root: Path, features: Mapping[str, Mapping[str, Any]]) -> N
 
     LeRobot's writer averages the quantiles of the episodes instead. Statistics of pictures stay as it has written them.
     """
-    from lerobot.datasets.io_utils import load_stats, write_stats
+    from lerobot.datasets.io_utils import load_stats
 
     stored: Statistics = load_stats(root) or {}
     pictures = {key: told for key, told in stored.items() if features[key]["dtype"] in PICTURES}
-    write_stats(dict(sorted({**row_statistics(root, features), **pictures}.items())), root)
+    rows = row_statistics(sorted((root / "data").glob("*/*.parquet")), features)
+    content = json.dumps(plain_statistics({**rows, **pictures}), indent=4) + "\n"
+    files.write_atomically(root / "meta" / "stats.json", content.encode())
 
 
-def row_statistics(root: Path, features: Mapping[str, Mapping[str, Any]]) -> Statistics:
-    """Returns the statistics of all rows of a dataset: column -> statistic -> values in a row's shape.
+def plain_statistics(stats: Statistics) -> dict[str, dict[str, Any]]:
+    """Returns statistics as lists of numbers, sorted by column, for JSON."""
+    return {key: {name: np.asarray(value).tolist() for name, value in stats[key].items()} for key in sorted(stats)}
+
+
+def row_statistics(paths: Sequence[Path], features: Mapping[str, Mapping[str, Any]]) -> Statistics:
+    """Returns the statistics of all rows of data files: column -> statistic -> values in a row's shape.
 
     Quantiles are numpy's, linear between values. Rows with NaN or infinity are left out. A cloud has statistics of its
     x, y and z over all points, the same for every point; its quantiles have a resolution of 0.1 mm. Columns of pictures
@@ -69,7 +78,7 @@ def row_statistics(root: Path, features: Mapping[str, Mapping[str, Any]]) -> Sta
         if feature["dtype"] not in _NOT_NUMERIC:
             with contextlib.suppress(_IrregularCellsError):
                 compute = cloud_statistics if key == POINT_CLOUD else value_statistics
-                found[key] = compute(_batches(root, key))
+                found[key] = compute(_batches(paths, key))
     return found
 
 
@@ -77,9 +86,9 @@ class _IrregularCellsError(Exception):
     """A column that cannot be an array."""
 
 
-def _batches(root: Path, key: str) -> Iterator[NDArray[Any]]:
+def _batches(paths: Sequence[Path], key: str) -> Iterator[NDArray[Any]]:
     """Yields the cells of a column as (R, ...) arrays, in order."""
-    for path in sorted((root / "data").glob("*/*.parquet")):
+    for path in paths:
         with pq.ParquetFile(path) as file:
             for batch in file.iter_batches(_BATCH_ROWS, columns=[key] if key in file.schema_arrow.names else []):
                 values = numeric_array(batch.column(0)) if batch.num_columns else None

@@ -15,6 +15,7 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.reading import read_episodes
 from lerobot_adamanip.datasets.statistics import write_episodes
+from lerobot_adamanip.util.json_fields import parse
 
 _VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
 """Files are small because LeRobot copies the whole video file to append an episode."""
@@ -77,6 +78,16 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
             if name not in table.column_names:
                 table = table.append_column(name, mine[name])
         write_episodes(path, table)
+
+
+def camera_records(episodes: pa.Table) -> list[dict[str, Any]]:
+    """Returns each episode's camera parameters; empty if those of any episode are unknown."""
+    texts = episodes["camera"].to_pylist() if "camera" in episodes.column_names else []
+    try:
+        cameras = [parse(text) for text in texts]
+    except (TypeError, ValueError):
+        return []
+    return cameras if all(isinstance(each, dict) for each in cameras) else []
 
 
 def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
