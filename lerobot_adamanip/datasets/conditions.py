@@ -37,7 +37,7 @@ class Condition:
         if found is None:
             return False
         if any(isinstance(value, str) for value in self.values):
-            found = _text(found)
+            found = as_text(found)
         if self.operation in _ORDERED:
             return _ORDERED[self.operation](found, self.values[0])
         equal = found in self.values or any(first <= found < end for first, end in self.ranges)
@@ -117,12 +117,13 @@ def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]
         raise _unfit(text, column, facts, _range(column, facts)) from None
 
 
-def _text(value: Value) -> str:
+def as_text(value: Value) -> str:
+    """Returns a value as it is typed in a condition."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
 def _unfit(text: str, column: str, facts: Sequence[Facts], allowed: str) -> ConfigurationError:
-    shown = _text(next(value for each in facts if (value := each[column]) is not None))
+    shown = as_text(next(value for each in facts if (value := each[column]) is not None))
     return ConfigurationError(
         "The condition does not fit its column.", got=repr(text), allowed=allowed, hint=f"--where '{column}={shown}'"
     )
@@ -135,4 +136,4 @@ def _range(column: str, facts: Sequence[Facts]) -> str:
         return "true or false" if len(set(values)) == 2 else f"always {str(values[0]).lower()}"
     if all(isinstance(value, int | float) for value in values):
         return f"{min(values):g} to {max(values):g}"
-    return listed(sorted({_text(value) for value in values}))
+    return listed(sorted({as_text(value) for value in values}))

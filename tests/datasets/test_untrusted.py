@@ -193,6 +193,6 @@ def test_what_a_copy_does_not_know_it_does_not_carry_on(published: Path, tmp_pat
 
 def test_a_title_is_no_formula(published: Path, tmp_path: Path) -> None:
     root = Path(shutil.copytree(published, tmp_path / "other"))
-    in_episodes("hidden_state", '{"a": "$\\\\frac{"}')(root)
+    in_episodes("hidden_state", '{"a": "$\\\\frac{$"}')(root)
     assert main(["view", str(root), "--episode", "0", "--out", str(tmp_path / "picture.png")]) == 0
     assert np.fromfile(tmp_path / "picture.png", np.uint8).size > 1000
