@@ -160,7 +160,9 @@ class DenseRecording:
             limits = limits_from_json(path.read_bytes())
         except (OSError, ValueError, ConfigurationError) as error:
             got = f"{SAFETY}: {error}"
-            raise _unusable(self.root, got, "the file that the recorder wrote", f"rm {path}") from error
+            raise _unusable(
+                self.root, got, "the file that the recorder wrote", f"rename {SAFETY}: rows then say what was asked"
+            ) from error
         sent = [first]
         for target in asked[:-1]:
             let_through = accepted(target, limits)
