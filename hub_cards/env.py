@@ -8,7 +8,7 @@ try:
     import lerobot_env_adamanip  # noqa: F401  (registers the environments with LeRobot)
 except ModuleNotFoundError as error:
     # Another kind of error than the one caught: LeRobot would replace this text by the name of the module alone.
-    raise ImportError(f"pip install 'lerobot_env_adamanip[sim]==$version' (no module {error.name})") from error
+    raise ImportError(f"$install (no module {error.name})") from error
 
 
 def make_env(n_envs: int = 1, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:

@@ -14,10 +14,9 @@ from typing import Any
 
 from lerobot_adamanip.cli.progress import ProgressLines
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions
 from lerobot_adamanip.evaluation.provenance import present_origin
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_adamanip.util.fingerprint import versions
-from lerobot_env_adamanip.fingerprint import present_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = 20
@@ -25,12 +24,12 @@ BATCH = 20
 
 
 def header() -> dict[str, Any]:
-    """Returns the header of a report: command, commit if any, fingerprint and versions."""
+    """Returns the header of a report: command, commit if any, and versions."""
     return {
         "command": shlex.join(["python", *sys.argv]),
         "commit": present_origin().commit,
-        "fingerprint": present_fingerprint(),
-        "versions": dict(versions()),
+        "simulation_version": SIMULATION_VERSION,
+        "versions": dict(installed_versions()),
     }
 
 

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from lerobot_adamanip.benchmark.leaderboard import violations
 from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 
 def main() -> int:
@@ -23,7 +23,7 @@ def main() -> int:
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     options = parser.parse_args()
     try:
-        found = list(violations(read_cells(options.folder), present_fingerprints()))
+        found = list(violations(read_cells(options.folder), SIMULATION_VERSION))
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2

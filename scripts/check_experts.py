@@ -275,7 +275,6 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
             kind="expert",
             title=f"scripted experts, mechanism rules {rules}",
             command=said["command"],
-            fingerprint=said["fingerprint"],
             seeds=[episode.seed for episode in finished],
             scenes=None,
             seconds=time.monotonic() - begin,

@@ -4,6 +4,8 @@ For each category, the adaptive expert grasps an object on equal seeds under two
 State, effort and all joints of arm and object must be bit-identical in every frame until the part is held. The cloud
 and the image of the last frame must be bit-identical, too.
 
+``--plain`` moves the open hand to the part by ManiSkill's own control instead, and compares until the first try.
+
 For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2``. ``--no-hold`` makes the
 hidden state observable, so the check must fail. Returns 1 if a category fails.
 """
@@ -38,6 +40,8 @@ VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     "lamp": ({"mode": 0}, {"mode": 1}, {"mode": 2}),
 }
 """Hidden states that differ as much as possible, by category."""
+PLAIN_STEPS = 60
+"""Control steps of ``--plain``."""
 Frame = dict[str, NDArray[Any]]
 
 
@@ -59,6 +63,19 @@ def frames_until_held(
     if look:
         seen = task.observe(image=image)
         frames[-1].update(cloud=seen.points_in_base, **({"image": seen.images["front"]} if image else {}))
+    return frames
+
+
+def frames_until_tried(task: Any, seed: int, hidden: dict[str, Any]) -> list[Frame]:
+    """Moves the open hand to the first part by ``pd_ee_delta_pose``. Returns all data before the first try."""
+    task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
+    goal, frames = next(iter(task.placement.annotations.values())).grasp[:3, 3], [_frame(task)]
+    for _ in range(PLAIN_STEPS):
+        here = task.agent.tcp.pose.p[0].cpu().numpy()
+        info = task.step(np.array([*np.clip(2 * (goal - here), -1, 1), 0, 0, 0, 1], np.float32))[-1]
+        if task.tries.tries:
+            break
+        frames.append({**_frame(task), "info": np.array(sorted(map(str, info.items())))})
     return frames
 
 
@@ -88,19 +105,19 @@ def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
     return tuple(found)
 
 
-def check(category: str, seeds: list[int], hold: bool) -> list[tuple[int, tuple[str, ...]]]:
+def check(category: str, seeds: list[int], hold: bool, plain: bool = False) -> list[tuple[int, tuple[str, ...]]]:
     """Returns each seed with its differences. Skips seeds without a placed object."""
     from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
-    task, results = make_task(category), []
-    task.holds_the_untried = hold
+    task, results = make_task(category, **({"control_mode": "pd_ee_delta_pose"} if plain else {})), []
+    frames_of, task.holds_joints = frames_until_tried if plain else frames_until_held, hold
     first, *others = VARIANTS[category]
     try:
         for seed in seeds:
             with contextlib.suppress(UnreachableError):
-                own = frames_until_held(task, seed, first)
-                found = [each for hidden in others for each in differences(own, frames_until_held(task, seed, hidden))]
+                own = frames_of(task, seed, first)
+                found = [each for hidden in others for each in differences(own, frames_of(task, seed, hidden))]
                 results.append((seed, tuple(found)))
     finally:
         task.close()
@@ -111,12 +128,15 @@ def main() -> int:
     """Parses, runs, prints. Returns 0 if no hidden state is observable."""
     made = parser(__doc__, seeds=100, first_seed=FIRST_SEED)
     made.add_argument("--no-hold", action="store_true", help="let joints move from reset on; the check must fail")
+    made.add_argument("--plain", action="store_true", help="ManiSkill's control instead of key frames")
     options = made.parse_args()
     reports, lines = [], []
-    for name, results in run_seeds(check, options, not options.no_hold).items():
+    for name, results in run_seeds(check, options, not options.no_hold, options.plain).items():
         differing = {seed: list(found) for seed, found in results if found}
         counts = {"seeds": len(results), "variants": len(VARIANTS[name]), "differing_seeds": len(differing)}
-        reports.append({"category": name, "hold": not options.no_hold, **counts, "differences": differing})
+        reports.append(
+            {"category": name, "hold": not options.no_hold, "plain": options.plain, **counts, "differences": differing}
+        )
         reports[-1]["passed"] = bool(results) and not differing
         lines.append(
             f"{name:16} {len(results):4} seeds under {len(VARIANTS[name])} hidden states: "

@@ -13,7 +13,6 @@ from pathlib import Path
 
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
-from lerobot_env_adamanip.fingerprint import code_fingerprint
 
 ROOT = Path(__file__).resolve().parents[1]
 CARDS = ROOT / "docs" / "cards"
@@ -24,7 +23,7 @@ RESULTS, EXPERTS = ROOT / "results" / "demo.json", ROOT / "results" / "experts.j
 
 def environment(into: Path) -> Staged:
     """Stages the environments' repository with the experts' results."""
-    return stage_environment(ENVIRONMENT, into, code_fingerprint(), results=read_results([EXPERTS]))
+    return stage_environment(ENVIRONMENT, into, results=read_results([EXPERTS]))
 
 
 def as_sample(card: str) -> str:

@@ -1,14 +1,14 @@
 """Writes the results of docs and README: ``python scripts/make_results.py [--check]``.
 
 The documents are docs/results.md, docs/results.csv, docs/leaderboard.md, and blocks in the README and two notes.
-The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. Numbers with another
-fingerprint than the current code are not in the README; docs/results.md marks or lists them.
+The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. README and
+docs/results.md say if they were measured with another simulation version than the present one.
 """
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from pathlib import Path
 
@@ -20,10 +20,10 @@ from lerobot_adamanip.benchmark.paired_text import effects_table
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_beside_paper, success_by_category, summary
 from lerobot_adamanip.benchmark.result import CellResult, read_cells
+from lerobot_adamanip.contract.versions import earlier_version, mixed_versions
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.evaluation.results_page import END, START, csv_rows, readme_block, results_page, with_block
 from lerobot_adamanip.evaluation.tables import csv_table
-from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
@@ -51,49 +51,64 @@ def read_results(folder: Path) -> dict[str, ResultFile]:
     return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
-def benchmark_reports(folder: Path, present: Collection[str]) -> Iterator[BenchmarkReport]:
+def benchmark_reports(folder: Path) -> Iterator[BenchmarkReport]:
     """Yields a report per scale of our declarations that has results."""
     for declaration in map(read_declaration, sorted(PAPER_TABLE.parent.glob("*.toml"))):
         for scale in declaration.scales:
             if results := read_cells(folder / "benchmark" / scale):
-                yield make_report(results, declaration, scale, present)
+                yield make_report(results, declaration, scale)
 
 
-def entries(folder: Path, present: Collection[str]) -> dict[str, list[CellResult]]:
-    """Returns name -> result files of the leaderboard's entries; those that break its rule are left out."""
+def entries(folder: Path) -> dict[str, list[CellResult]]:
+    """Returns name -> result files of the leaderboard's entries, of the newest simulation version that has any.
+
+    Those that break its rule are left out.
+    """
     found = {path.name: read_cells(path) for path in sorted((folder / "leaderboard").glob("*/"))}
     methods = read_declaration(PAPER_TABLE.with_name("default_policy.toml")).methods
     for result in read_cells(folder / "benchmark" / "test"):
         if result.cell.method in methods:
             found.setdefault(f"{methods[result.cell.method].title} (this project)", []).append(result)
-    return {name: results for name, results in found.items() if not any(violations(results, present))}
+    for version in sorted({each.simulation_version for results in found.values() for each in results}, reverse=True):
+        if valid := {name: results for name, results in found.items() if not any(violations(results, version))}:
+            return valid
+    return {}
 
 
-def _is_current(report: BenchmarkReport) -> bool:
-    """Returns whether all results are of test scenes, the present code and the declared options."""
-    changed = any(entry.other_code or entry.other_options for entry in report.entries.values())
+def _is_uniform(report: BenchmarkReport) -> bool:
+    """Returns whether all results are of test scenes, one version and the declared options."""
+    changed = any(entry.earlier or entry.other_options for entry in report.entries.values())
     return report.scenes == "test" and not changed
 
 
-def documents(folder: Path, present: Collection[str]) -> dict[Path, str]:
+def documents(folder: Path) -> dict[Path, str]:
     """Returns document -> text."""
     results = read_results(folder)
     shown = {name: result for name, result in results.items() if name in IN_README}
-    reports = list(benchmark_reports(folder, present))
+    reports = list(benchmark_reports(folder))
     by_scale = {report.scale: report for report in reports}
-    tables = [
-        text(by_scale[scale]) for scale, text in MEANS.items() if scale in by_scale and _is_current(by_scale[scale])
-    ]
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, present, filter(None, tables)))
+    means = {by_scale[scale].scale: text for scale, text in MEANS.items() if scale in by_scale}
+    means = {scale: text for scale, text in means.items() if _is_uniform(by_scale[scale])}
+    tables = filter(None, (text(by_scale[scale]) for scale, text in means.items()))
+    note = _versions_note([*shown.values(), *chain(*(by_scale[scale].results for scale in means))])
+    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, tables, note))
     reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
     pages = [benchmark_page(report, level=2) for report in reports]
     numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
-    board = leaderboard_page(entries(folder, present))
-    page = results_page(results, present, [PICTURES, *pages] if pages else [])
+    board = leaderboard_page(entries(folder))
+    note = _versions_note([*results.values(), *chain(*(report.results for report in reports))])
+    page = results_page(results, [PICTURES, *pages] if pages else [], note)
     notes = {
         path: _with_table(path, table(by_scale[scale])) for path, (scale, table) in TABLES.items() if scale in by_scale
     }
     return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board, **notes}
+
+
+def _versions_note(results: Sequence[ResultFile | CellResult]) -> str:
+    """Returns what a reader must know of the versions behind some results; empty if they are the present ones."""
+    mixed = mixed_versions(each.versions for each in results)
+    told = f"They were measured with different versions installed: {mixed}." if mixed else ""
+    return f"{earlier_version(each.simulation_version for each in results)} {told}".strip()
 
 
 def _with_table(path: Path, table: str) -> str:
@@ -102,7 +117,7 @@ def _with_table(path: Path, table: str) -> str:
 
 def main() -> int:
     """Writes the documents, or lists outdated ones. Returns 0 on success."""
-    return document_command(__doc__, lambda: documents(RESULTS, present_fingerprints()))
+    return document_command(__doc__, lambda: documents(RESULTS))
 
 
 if __name__ == "__main__":

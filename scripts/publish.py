@@ -54,7 +54,7 @@ def result_file(cell: CellResult) -> ResultFile:
         kind="policy",
         title=f"benchmark, scale {cell.scale}, training seed {cell.cell.seed}",
         command=cell.steps[EVALUATE].command,
-        fingerprint=cell.fingerprint,
+        simulation_version=cell.simulation_version,
         machine=cell.costs[EVALUATE].machine,
         scenes=cell.scenes,
         seeds=cell.scene_seeds,

@@ -91,7 +91,7 @@ def test_a_tenth_category_touches_few_places() -> None:
 
 WITHOUT_A_SIMULATOR = """
 import dataclasses
-import numpy as np, torch
+import numpy as np
 import lerobot_adamanip, lerobot_env_adamanip
 from lerobot.envs.configs import EnvConfig
 from lerobot_adamanip.assets.roles import ROLES
@@ -107,7 +107,7 @@ for split in ("seen", "unseen", "novel"):
     assert [obj.object_id for obj in objects] == list(ids)
     for preset in MECHANISM_RULES:
         mechanism = make_mechanism(objects[0], preset)
-        state = mechanism.draw(torch.Generator().manual_seed(0), {{"direction": 1, "turn_range": 1.5}})
+        state = mechanism.draw(np.random.default_rng(0), {{"direction": 1, "turn_range": 1.5}})
         _, shut = mechanism.step(state, {{"lift": 0.0, "cap": 0.0}})
         _, free = mechanism.step(state, {{"lift": 0.0, "cap": 1.4}})
         assert shut["lift"][1] == 0.0 < free["lift"][1]

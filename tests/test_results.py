@@ -1,4 +1,4 @@
-"""Numbers in the documents: those of the result files, and in the README only those of the present code."""
+"""Numbers in the documents: those of the result files, with the versions that they were measured with."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmark_helpers import CODE, FakeRunner, benchmark, run_all
+from benchmark_helpers import FakeRunner, benchmark, run_all
 from records import record
 
 from lerobot_adamanip.benchmark.result import write_cell
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metric_values import Mean
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate
@@ -28,7 +29,6 @@ from lerobot_adamanip.evaluation.results import (
 )
 from lerobot_adamanip.evaluation.results_page import (
     END,
-    NOTHING,
     START,
     csv_rows,
     readme_block,
@@ -38,15 +38,8 @@ from lerobot_adamanip.evaluation.results_page import (
 )
 from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_env_adamanip.fingerprint import (
-    code_fingerprint,
-    environment_fingerprint,
-    present_fingerprint,
-    present_fingerprints,
-)
 
 ROOT = Path(__file__).resolve().parents[1]
-NOW, BEFORE = "a" * 16, "b" * 16
 
 
 def script() -> Any:
@@ -78,7 +71,7 @@ def row(
     return ResultRow(subject, mechanism_rules, category, objects, metrics)
 
 
-def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
+def result(**changes: Any) -> ResultFile:
     rows = [
         row("adaptive", "safe", "seen", (19, 20), 14.6),
         row("static", "safe", "seen", (20, 20), 10.25),
@@ -90,7 +83,6 @@ def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
         kind="expert",
         title="scripted experts",
         command="python scripts/check_experts.py --category all",
-        fingerprint=fingerprint,
         seeds=[7_000_000, 7_000_030],
         scenes=None,
         seconds=600.0,
@@ -100,36 +92,35 @@ def result(fingerprint: str = NOW, **changes: Any) -> ResultFile:
 
 def test_documents_are_what_the_script_writes() -> None:
     module = script()
-    for path, text in module.documents(module.RESULTS, present_fingerprints()).items():
+    for path, text in module.documents(module.RESULTS).items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python scripts/make_results.py"
 
 
-def test_every_number_in_the_readme_is_of_the_present_fingerprint() -> None:
+def test_documents_say_which_versions_were_mixed_or_are_not_the_present_ones(tmp_path: Path) -> None:
     module = script()
-    text = module.documents(module.RESULTS, {BEFORE})[module.README]
-    assert re.search(r"\d", text[text.index(START) : text.index(END)]) is None
-
-
-def test_a_changed_fingerprint_takes_a_number_out_of_the_readme_and_the_page() -> None:
-    results = {"experts.json": result()}
-    assert "19/20: 95 %" in readme_block(results, {NOW})
-    assert NOTHING not in readme_block(results, {NOW})
-    stale = readme_block(results, {BEFORE})
-    assert "19/20" not in stale
-    assert NOTHING in stale
-    page = results_page(results, {BEFORE})
-    assert "19/20: 95 %" not in page
-    line = page[page.index("## Measured with earlier code") :]
-    assert f"fingerprint `{NOW}`" in line
-    assert "`results/experts.json`" in line
-    assert "earlier code" not in results_page(results, {NOW})
+    old = {"simulation_version": SIMULATION_VERSION - 1}
+    for changes, told in (
+        ([{}, {}], ""),
+        ([old, old], "Measured with simulation version 2; the present one is 3."),
+        ([{}, old], "Measured with simulation versions 2 and 3; the present one is 3."),
+        (
+            [{"versions": {"torch": each}} for each in ("2.10.0", "2.11.0")],
+            "They were measured with different versions installed: torch 2.10.0 and 2.11.0.",
+        ),
+    ):
+        for name, change in zip(("demo", "other"), changes, strict=True):
+            write_result(tmp_path / f"{name}.json", result(**change))
+        page = module.documents(tmp_path)[module.PAGE]
+        assert [line for line in page.splitlines() if line.startswith(("Measured", "They"))] == [told][: len(told)]
+        note = "Measured with simulation version" in module.documents(tmp_path)[module.README]
+        assert note == ("simulation" in told and changes[0] == old)
 
 
 def test_a_table_says_what_it_was_measured_with() -> None:
-    page = results_page({"experts.json": result()}, {NOW})
+    page = results_page({"experts.json": result()})
     for text in (
         "`python scripts/check_experts.py --category all`",
-        f"fingerprint `{NOW}`",
+        f"simulation version {SIMULATION_VERSION}",
         "seeds 7000000 to 7000030",
         "results/experts.json",
         "10 min",
@@ -148,12 +139,12 @@ def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
     assert [(each.objects, each.metrics.success) for each in rows] == [("seen", rate(15, 20))]
     measured = {"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}
     told = "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] |"
-    page = results_page(measured, {NOW})
+    page = results_page(measured)
     assert f"{told}\n" in page
     assert "| dp3_adaptive | safe | 12.0 | -0.50 | 0/0 | ajar 5 |" in page
-    assert "(test scenes): 15/20: 75 % [53.1, 88.8]\n" in readme_block(measured, {NOW})
+    assert "(test scenes): 15/20: 75 % [53.1, 88.8]\n" in readme_block(measured)
     another = row("dp3_adaptive", "lamp", "seen", (9, 10))
-    block = readme_block({"p.json": result(kind="policy", rows=(*rows, another), scenes="test")}, {NOW})
+    block = readme_block({"p.json": result(kind="policy", rows=(*rows, another), scenes="test")})
     assert told in block
     assert "wasted tries" not in block
     (line,) = csv.DictReader(csv_table(csv_rows(measured)).splitlines())
@@ -186,8 +177,8 @@ def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "changes",
     [
-        {"fingerprint": "new"}, {"command": "a\nb"}, {"command": "lerobot-eval --x=/home/me/model"}, {"rows": []},
-        {"kind": "guess"}, {"schema": 2}, {"host": "machine"}, {"seeds": [1]}, {"scenes": "holdout"},
+        {"simulation_version": "new"}, {"command": "a\nb"}, {"command": "lerobot-eval --x=/home/me/model"},
+        {"rows": []}, {"kind": "guess"}, {"schema": 2}, {"host": "machine"}, {"seeds": [1]}, {"scenes": "holdout"},
         {"machine": {"cores": 2, "gpu": False, "name": "x"}}, {"title": "a | b"}, {"seconds": -1}, {"commit": "main"},
     ],
     ids=str,
@@ -207,7 +198,6 @@ def test_a_command_with_a_path_of_this_machine_is_refused(tmp_path: Path) -> Non
             kind="policy",
             title="x",
             command=f"lerobot-eval --policy.path={tmp_path}/x",
-            fingerprint=NOW,
             seeds=[1],
             scenes="test",
         )
@@ -220,34 +210,24 @@ def test_a_document_has_one_block() -> None:
             with_block(document, "x")
 
 
-def test_other_experts_leave_the_results_of_policies_what_they_were(monkeypatch: pytest.MonkeyPatch) -> None:
-    policies, experts = environment_fingerprint(), present_fingerprint()
-    parts = {**code_fingerprint(), "experts": "other"}
-    monkeypatch.setattr("lerobot_env_adamanip.fingerprint.code_fingerprint", lambda: parts)
-    assert environment_fingerprint() == policies
-    assert present_fingerprint() != experts
-    parts["simulator"] = "other"
-    assert environment_fingerprint() != policies
-
-
 def test_the_readme_leaves_to_the_page_what_is_no_result_of_the_papers_rules() -> None:
     """Other rules, scenes that policies are chosen by, and experts once a policy was measured."""
     hard = result(rows=(row("adaptive", "lamp", "seen", (7, 20), 6.3, mechanism_rules="hard"),))
     chosen_by, policy = ({"one.json": result(kind="policy", scenes=scenes)} for scenes in ("validation", "test"))
     for other in (hard, chosen_by["one.json"]):
-        page = results_page({"one.json": other}, {NOW})
+        page = results_page({"one.json": other})
         assert other.rows[0].metrics.show("success").partition(":")[0] in page
-    assert readme_block({"one.json": hard}, {NOW}) == readme_block({}, {NOW})
-    assert "(validation scenes" in readme_block(chosen_by, {NOW})
-    assert readme_block({"two.json": chosen_by["one.json"], **policy}, {NOW}) == readme_block(policy, {NOW})
+    assert readme_block({"one.json": hard}) == readme_block({})
+    assert "(validation scenes" in readme_block(chosen_by)
+    assert readme_block({"two.json": chosen_by["one.json"], **policy}) == readme_block(policy)
     experts = {"experts.json": result()}
-    assert "novel objects" in readme_block(experts, {NOW})
-    assert readme_block({**experts, **policy}, {NOW}) == readme_block(policy, {NOW})
+    assert "novel objects" in readme_block(experts)
+    assert readme_block({**experts, **policy}) == readme_block(policy)
 
 
 def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> None:
     module, folder = script(), tmp_path / "benchmark" / "cpu"
-    alone = module.documents(tmp_path, {CODE.episodes})[module.PAGE]
+    alone = module.documents(tmp_path)[module.PAGE]
     assert "Benchmark" not in alone
     folder.mkdir(parents=True)
     run = benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake"))
@@ -255,7 +235,7 @@ def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> N
         assert state.result is not None
         named = dataclasses.replace(state.cell, method="dp3_adaptive")
         write_cell(folder / f"{named.name}.json", dataclasses.replace(state.result, cell=named, scale="cpu"))
-    page = module.documents(tmp_path, {CODE.episodes})[module.PAGE]
+    page = module.documents(tmp_path)[module.PAGE]
     assert "\n## Benchmark, scale cpu\n" not in alone
     assert "\n## Benchmark, scale cpu\n" in page
     assert re.search(r"^\| dp3_adaptive \(anchors\), seen \| [\d.]+ ‡ \|", page, re.MULTILINE), "of other options"

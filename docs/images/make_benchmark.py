@@ -13,7 +13,6 @@ from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.result import read_cells
-from lerobot_env_adamanip.fingerprint import present_fingerprints
 
 SHOWN: Mapping[str, tuple[str, str, str]] = {
     "methods": ("success", "paper_table.toml", "cpu"),
@@ -32,7 +31,7 @@ def main(here: Path) -> None:
     for name, (plot, declared, scale) in SHOWN.items():
         results = read_cells(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
         declaration = read_declaration(PAPER_TABLE.with_name(declared))
-        report = make_report(results, declaration, scale, present_fingerprints())
+        report = make_report(results, declaration, scale)
         with tempfile.TemporaryDirectory() as folder:
             pictures = {path.stem: path for path in plot_report(report, Path(folder))}
             picture = Image.open(pictures[plot]).convert("RGB")

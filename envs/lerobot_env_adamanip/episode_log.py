@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from lerobot_adamanip.catalog import object_split
-from lerobot_adamanip.contract.keyframes import KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, KeyFrameLabels
 from lerobot_adamanip.contract.seeds import split_of
-from lerobot_adamanip.episode.contact_labels import TryLabeler
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions
+from lerobot_adamanip.episode.tries import KeyFrameLabeler
 from lerobot_adamanip.evaluation.log import append_record
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.mechanisms import best_tries
-from lerobot_adamanip.objects import PartAnnotation
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -33,7 +29,6 @@ class EpisodeMonitor:
     def __init__(
         self,
         task: AdaManipTask,
-        annotations: Mapping[str, PartAnnotation],
         *,
         seed: int,
         given_seed: int,
@@ -42,12 +37,13 @@ class EpisodeMonitor:
     ) -> None:
         self._task, self.seed, self._given_seed, self._provenance = task, seed, given_seed, provenance
         self._hidden = task.hidden_state()
-        self._max_key_frames, most = options.max_key_frames, options.max_failed_tries
+        most = options.max_failed_tries
         _, worst = best_tries(task.obj.category, options.mechanism_rules, self._hidden)
         self._max_failed_tries = None if most is None else worst if most == BEST else int(most)
-        self.key_frames = 0
+        self._options = options
+        self.key_frames = self.clipped_goals = 0
         self.success = False
-        self._labeler = TryLabeler(task.obj, task.mechanism.joints, annotations, task.feedback, task.joint_positions())
+        self._labeler = KeyFrameLabeler(task.tries)
 
     @property
     def labels(self) -> KeyFrameLabels:
@@ -59,19 +55,19 @@ class EpisodeMonitor:
         """The limit that has ended the episode: `TIME_LIMIT` or `TOO_MANY_TRIES`; None if there is none yet."""
         if self._max_failed_tries is not None and self.record().failed_tries > self._max_failed_tries:
             return TOO_MANY_TRIES
-        return TIME_LIMIT if self.key_frames >= self._max_key_frames else None
+        return TIME_LIMIT if self.key_frames >= self._options.max_key_frames else None
 
     def after_key_frame(self) -> bool:
         """Counts and labels a finished key frame. Returns whether the episode has succeeded."""
         self.key_frames += 1
-        goal, gripper = self._task.goal
-        self._labeler.after_key_frame(goal, gripper, self._task.feedback, self._task.joint_positions())
+        self.clipped_goals += self._task.feedback.is_clipped
+        _, gripper = self._task.goal
+        self._labeler.after_key_frame(self._task.joint_positions(), opens=gripper > CLOSED_HAND)
         self.success |= self._task.succeeded() and self.limit != TOO_MANY_TRIES
         return self.success
 
     def record(self) -> EpisodeRecord:
         """Returns the record of the episode so far."""
-        tries = [labels for labels in self._labeler.history if labels.tried >= 0]
         object_id = self._task.obj.object_id
         return EpisodeRecord(
             seed=self.seed,
@@ -82,13 +78,11 @@ class EpisodeMonitor:
             hidden_state=self._hidden,
             success=self.success,
             key_frames=self.key_frames,
-            tries=len(tries),
-            blocked_pulls=sum(each.failed for each in tries if each.tried == 0),
-            wrong_turns=sum(each.failed for each in tries if each.tried > 0),
-            key_moved=any(not each.failed for each in tries if each.tried > 0),
-            first_part=self._labeler.first_part,
-            first_try_failed=bool(tries) and tries[0].failed,
-            try_sequence=tuple((each.tried, int(np.sign(each.sent)), each.failed) for each in tries),
+            clipped_goals=self.clipped_goals,
+            max_key_frames=self._options.max_key_frames,
+            max_failed_tries=self._max_failed_tries,
+            poses=self._options.poses,
+            try_sequence=tuple((each.joint, each.direction, each.failed) for each in self._task.tries.tries),
             joints=self._task.joint_positions(),
             provenance=self._provenance,
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,14 +19,13 @@ from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import depth_size
 from lerobot_adamanip.contract.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
-from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
-from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
 from lerobot_env_adamanip.simulator import make_task, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -74,6 +74,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
+        self._seeds: dict[str, int] = {}
         self._episode_log, self._provenance = _log_of(self.options)
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
@@ -103,15 +104,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         sim = self._started()
         self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         drawn = self._placed(sim, wanted, chosen)
-        self._monitor = EpisodeMonitor(
-            sim,
-            sim.placement.annotations,
-            seed=drawn,
-            given_seed=given,
-            provenance=self._provenance,
-            options=self.options,
-        )
+        self._seeds = {"seed": drawn, "given_seed": given}
+        self.restart_episode()
         return self.observe(), {"is_success": False}
+
+    def restart_episode(self) -> None:
+        """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
+        sim = self._sim
+        assert sim is not None
+        sim.restart_tries()
+        self._record = None
+        self._monitor = EpisodeMonitor(sim, **self._seeds, provenance=self._provenance, options=self.options)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
@@ -216,13 +219,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         views.set_joints(joints)
         return {name: views.image(name) for name in CAMERAS}
 
-    def fingerprint(self) -> dict[str, str]:
-        """Returns hashes of the code that affects episodes, versions, and sources of observations.
+    def software_versions(self) -> dict[str, str]:
+        """Returns `lerobot_adamanip.contract.versions.software_versions` and the ``renderer``, by name.
 
-        Keys: those of `code_fingerprint`, ``versions``, ``renderer``. Does not start the simulator.
+        The renderer is the source of observations. Does not start the simulator.
         """
-        installed = " ".join(f"{name}={version}" for name, version in versions().items())
-        return {**code_fingerprint(), "versions": installed, "renderer": sensors_name(self.options)}
+        return {**software_versions(), "renderer": sensors_name(self.options)}
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state, for the static expert and records only."""
@@ -253,13 +255,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
         """Resets the simulator to a reachable scene; returns its seed."""
         first, attempt = seed, 0
+        is_one_object = "object_id" in chosen or len(sim.object_ids) == 1
         while True:
             try:
                 sim.reset(seed=seed, options={"reconfigure": True, **chosen})
                 return seed
             except UnreachableError as error:
                 attempt += 1
-                if attempt == SCENE_TRIES:
+                if attempt == SCENE_TRIES or (error.is_certain and is_one_object):
                     raise
                 seed = retried_seed(first, self.options.split, attempt)
                 _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
@@ -290,4 +293,5 @@ def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]
     """Returns an environment's log and its episodes' provenance. Without a log they belong to no evaluation."""
     log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
     run_id = None if log is None else options.run_id or new_run_id()
-    return log, Provenance(environment_fingerprint(), __version__, options.mechanism_rules, run_id, options.run_label)
+    made = Provenance(SIMULATION_VERSION, __version__, options.mechanism_rules, run_id, options.run_label)
+    return log, replace(made, versions=installed_versions())

@@ -53,9 +53,11 @@ class BenchmarkFolder:
         """Records that a step's command is about to start."""
         self._write(step, {"begun": self._begun(step) + 1})
 
-    def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool]) -> None:
+    def finish(
+        self, step: Step, seconds: float, machine: Mapping[str, int | bool], versions: Mapping[str, str]
+    ) -> None:
         """Records that a step's command has succeeded."""
-        self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine)))
+        self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine, versions)))
 
     def cost(self, step: Step) -> StepCost | None:
         """Returns the cost of a step; None if it is not done."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 import operator
-from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, FOLDERS, TRAIN, last_checkpoint
 from lerobot_adamanip.benchmark.report import least_to_most
 from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION, earlier_version, mixed_versions
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, pool
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, markdown_table
@@ -49,24 +50,25 @@ For paired differences to `dp3_adaptive`, copy `results/benchmark/test/corrected
 - `{" ".join(f"{name}={value}" for name, value in FIXED.items())}`, and of the other
   options of the environment only objects, num_points, image_size, observe_images and episode_log.
 - A policy that the entry's own steps trained, on demonstrations of seen objects alone; one for all objects.
-- A commit without changes, and the present simulator and mechanisms: an entry leaves the page when these change.
+- A commit without changes, and the present simulation version ({SIMULATION_VERSION}): an entry leaves the page once one
+  of a newer version is on it.
 
 Choose your method on validation scenes, and run the test scenes once. In this project's row two choices were made with
 test results at hand: [the head, and what counts as a failed try](benchmark.md#the-declaration).
 """
 
 
-def violations(results: Sequence[CellResult], present: Collection[str]) -> Iterator[str]:
+def violations(results: Sequence[CellResult], simulation_version: int) -> Iterator[str]:
     """Yields the broken rules, one sentence each.
 
     Args:
         results: of one method.
-        present: fingerprints of the present code.
+        simulation_version: of the page.
     """
     if not results:
         yield "no result files"
     for result in results:
-        yield from (f"{result.cell.name}: {reason}" for reason in _of_cell(result, present))
+        yield from (f"{result.cell.name}: {reason}" for reason in _of_cell(result, simulation_version))
     if len(methods := sorted({result.cell.method for result in results})) > 1:
         yield f"several methods: {', '.join(methods)}"
     policies: dict[tuple[str, int], set[tuple[str, ...]]] = {}
@@ -90,7 +92,7 @@ def _seeds(results: Sequence[CellResult]) -> dict[tuple[str, str], list[int]]:
     return found
 
 
-def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
+def _of_cell(result: CellResult, simulation_version: int) -> Iterator[str]:
     cell, numbers = result.cell, result.numbers
     options = result.evaluation_options.items()
     given = {name: value for name, value in options if name.startswith("--env") or name in (*FIXED, "--config_path")}
@@ -109,8 +111,8 @@ def _of_cell(result: CellResult, present: Collection[str]) -> Iterator[str]:
         yield "part of a curve over trials"
     if result.changed or result.commit is None:
         yield "made from a commit with changes, or from none"
-    if result.fingerprint not in present:
-        yield "made with another simulator or other mechanisms than the present ones"
+    if result.simulation_version != simulation_version:
+        yield f"measured with simulation version {result.simulation_version}, not {simulation_version}"
 
 
 def _of_training(result: CellResult) -> Iterator[str]:
@@ -148,10 +150,15 @@ def leaderboard_page(entries: Mapping[str, Sequence[CellResult]]) -> str:
         "the first over all trainings",
     ]
     table = markdown_table(titles, lines) if lines else "No entry yet."
+    measured = [result for results in entries.values() for result in results]
+    told = [earlier_version({result.simulation_version for result in measured})]
+    if mixed := mixed_versions(result.all_versions for result in measured):
+        told.append(f"Mind: measured with different versions installed: {mixed}.")
     explanation = (
         f"Means over nine categories, of training seed {FIRST_SEED}; the first column decides the order. The last "
         "one is over all trainings, with their number."
     )
+    explanation = " ".join(filter(None, [explanation, *told]))
     return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"
 
 

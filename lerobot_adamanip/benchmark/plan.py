@@ -1,6 +1,7 @@
 """Plan of a cell: its commands, and the cache keys by which cells share products. Pure functions.
 
-A key hashes a step's command, the keys of what it reads, and the code it runs. Trainings with equal keys run once.
+A key hashes a step's command, the keys of what it reads, and the versions that decide its result. Equal keys run once.
+Installed versions of other packages are not in it: a report says where they differ.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from lerobot_adamanip.benchmark.command_options import expert_command, with_opti
 from lerobot_adamanip.benchmark.declaration import Declaration, Demonstrations, Method, Scale
 from lerobot_adamanip.benchmark.training_log import LOGGED
 from lerobot_adamanip.catalog import parse_object_selection
+from lerobot_adamanip.contract.versions import DATA, DATA_VERSION, SIMULATION, SIMULATION_VERSION
 from lerobot_adamanip.evaluation.results import check_command
 
 COLLECT, CORRECT, MERGE, TRAIN, EVALUATE = "collect", "correct", "merge", "train", "evaluate"
@@ -29,17 +31,10 @@ FOLDERS: Mapping[str, str] = {
 EPISODE_LOG = "episodes.jsonl"
 TEST_SEED = 1000
 """Seed of an evaluation's first scene and of the policy's sampling; equal for all methods and trainings."""
-NUMBERS = tuple(f"lerobot_adamanip.evaluation.{name}" for name in ("metrics", "log", "paired"))
-"""Modules that count the episodes of an evaluation."""
 _ATTEMPTS = 25
 """Attempts per demonstration: with six failed trials, long episodes of safes exceed the time limit."""
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
-_SPELLED_IN_KEYS = {
-    "--mechanism-rules": "--mechanism-preset",
-    "--env.mechanism_rules": "--env.mechanism_preset",
-}
-"""Option -> former name that keys still use, so that renaming an option keeps all keys."""
 _LENGTH = 16
 
 
@@ -49,20 +44,26 @@ def last_checkpoint(folder: Path | str) -> Path:
 
 
 @dataclass(frozen=True)
-class Code:
-    """Hashes of the code that affects results.
+class KeyVersions:
+    """Versions in the cache keys.
 
     Attributes:
-        demonstrations: simulator, mechanisms, objects, experts and recording.
-        episodes: simulator, mechanisms and objects.
-        policies: method -> hash of its policy.
-        numbers: code that counts the episodes of an evaluation.
+        simulation, data: see `lerobot_adamanip.contract.versions`.
+        policies: method -> name and version of the package of its policy, for packages of others.
     """
 
-    demonstrations: str = ""
-    episodes: str = ""
+    simulation: int = SIMULATION_VERSION
+    data: int = DATA_VERSION
     policies: Mapping[str, str] = field(default_factory=dict)
-    numbers: str = ""
+
+    @property
+    def episodes(self) -> str:
+        """Versions that decide the episodes of a given policy."""
+        return f"{SIMULATION} {self.simulation}"
+
+    def policy(self, method: str) -> str:
+        """Returns the versions that decide how a method's policy learns and acts."""
+        return f"{DATA} {self.data} {self.policies.get(method, '')}".strip()
 
 
 @dataclass(frozen=True)
@@ -103,7 +104,7 @@ def named_steps(last: Step) -> dict[str, Step]:
     return found
 
 
-def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> Step:
+def plan(cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVersions) -> Step:
     """Returns the evaluation step of a cell, with all steps that it depends on.
 
     Raises:
@@ -114,17 +115,17 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, code: Code) -> S
     like = learnt or Demonstrations()
     like = replace(like, poses=scale.poses or like.poses)
     if learnt is not None:
-        _, training = _learning(cell, declaration, scale_name, code, like=like)
-    return _evaluation(cell, method, scale, code, like=like, training=training)
+        _, training = _learning(cell, declaration, scale_name, versions, like=like)
+    return _evaluation(cell, method, scale, versions, like=like, training=training)
 
 
 def options_key(cell: Cell, declaration: Declaration, scale: str) -> str:
-    """Returns a key of the commands without the code, to compare a result with the present declaration."""
-    return plan(cell, declaration, scale, Code()).key
+    """Returns a key of the commands alone, to compare a result with the present declaration."""
+    return plan(cell, declaration, scale, KeyVersions(0, 0)).key
 
 
 def _learning(
-    cell: Cell, declaration: Declaration, scale_name: str, code: Code, *, like: Demonstrations
+    cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVersions, *, like: Demonstrations
 ) -> tuple[Step, Step]:
     """Returns the dataset that a method trains on last, and that training."""
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
@@ -132,15 +133,15 @@ def _learning(
     method = replace(method, train=(*method.train, *overriding))
     if method.data_of:
         others = [replace(cell, method=method.data_of, category=category) for category in scale.categories]
-        data = _merge(tuple(_learning(each, declaration, scale_name, code, like=like)[0] for each in others))
+        data = _merge(tuple(_learning(each, declaration, scale_name, versions, like=like)[0] for each in others))
     else:
-        data = _collection(cell, like, scale, code)
-    training = _training(cell, method, scale, data, code, steps=method.steps.get(scale_name, scale.steps))
+        data = _collection(cell, like, scale, versions)
+    training = _training(cell, method, scale, data, versions, steps=method.steps.get(scale_name, scale.steps))
     for each in method.rounds:
-        corrected = _correction(cell, like, scale, code, episodes=each.corrections, training=training)
+        corrected = _correction(cell, like, scale, versions, episodes=each.corrections, training=training)
         data = _merge((data, corrected))
         start = training if each.start == "trained" else None
-        training = _training(cell, method, scale, data, code, steps=each.steps, start=start)
+        training = _training(cell, method, scale, data, versions, steps=each.steps, start=start)
     return data, training
 
 
@@ -155,19 +156,20 @@ def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | No
     return found if cell.trials is None else replace(found, trials=cell.trials)
 
 
-def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code) -> Step:
+def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
     expert = (f"--expert={wanted.expert}", *_expert_options(wanted))
-    # Left out for other experts, so that equal demonstrations have equal commands.
-    trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()
+    trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()  # others would have unequal keys
     how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
     shared_by = 1 if scale.demonstrations_per_object else _objects(cell, scale)
-    return _recording(COLLECT, cell, wanted, scale, code, each=math.ceil(scale.demonstrations / shared_by), how=how)
+    return _recording(COLLECT, cell, wanted, scale, versions, each=math.ceil(scale.demonstrations / shared_by), how=how)
 
 
-def _correction(cell: Cell, wanted: Demonstrations, scale: Scale, code: Code, *, episodes: int, training: Step) -> Step:
+def _correction(
+    cell: Cell, wanted: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
+) -> Step:
     how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(wanted))
     each = math.ceil(episodes / _objects(cell, scale))
-    return _recording(CORRECT, cell, wanted, scale, code, each=each, how=how, needs=(training,))
+    return _recording(CORRECT, cell, wanted, scale, versions, each=each, how=how, needs=(training,))
 
 
 def _objects(cell: Cell, scale: Scale) -> int:
@@ -184,7 +186,7 @@ def _recording(
     cell: Cell,
     wanted: Demonstrations,
     scale: Scale,
-    code: Code,
+    versions: KeyVersions,
     *,
     each: int,
     how: tuple[str, ...],
@@ -206,7 +208,8 @@ def _recording(
     # Attempts end with the first success, so a higher limit changes no dataset. Requiring images does not either: the
     # step fails at once where rendering is impossible.
     required = ("--images",) if wanted.image_size else ()
-    return _step(kind, command, code.demonstrations, (f"--max-attempts={_ATTEMPTS}", *required), needs)
+    decides = f"{versions.episodes}, {DATA} {versions.data}"
+    return _step(kind, command, decides, (f"--max-attempts={_ATTEMPTS}", *required), needs)
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:
@@ -215,7 +218,14 @@ def _merge(parts: tuple[Step, ...]) -> Step:
 
 
 def _training(
-    cell: Cell, method: Method, scale: Scale, data: Step, code: Code, *, steps: int, start: Step | None = None
+    cell: Cell,
+    method: Method,
+    scale: Scale,
+    data: Step,
+    versions: KeyVersions,
+    *,
+    steps: int,
+    start: Step | None = None,
 ) -> Step:
     begin = f"--policy.type={method.policy}" if start is None else f"--policy.path={last_checkpoint(start.product)}"
     command = with_options(
@@ -235,11 +245,11 @@ def _training(
     )
     logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, steps // LOGGED)}")
     needs = (data,) if start is None else (data, start)
-    return _step(TRAIN, command, code.policies.get(cell.method, ""), logging, needs)
+    return _step(TRAIN, command, versions.policy(cell.method), logging, needs)
 
 
 def _evaluation(
-    cell: Cell, method: Method, scale: Scale, code: Code, *, like: Demonstrations, training: Step | None
+    cell: Cell, method: Method, scale: Scale, versions: KeyVersions, *, like: Demonstrations, training: Step | None
 ) -> Step:
     """Returns the evaluation of a policy, trained or not, or of an expert, in the scenes of demonstrations ``like``."""
     made = (f"--policy.type={method.policy}", *method.options)
@@ -265,9 +275,8 @@ def _evaluation(
         *scale.evaluate,
         *method.evaluate,
     )
-    # An untrained policy has no training key, so its code enters here.
-    policy = "" if training else code.policies.get(cell.method, "")
-    decides = f"{code.episodes} {code.numbers} {policy}".strip()
+    # An untrained policy has no training key, so its versions enter here.
+    decides = versions.episodes if training else f"{versions.episodes}, {versions.policy(cell.method)}"
     if method.expert:
         return _step(EVALUATE, expert_command(method.expert, command[1:]), decides)
     # A policy that uses images was trained with them. For others, evaluation without images is equal and faster.
@@ -279,19 +288,12 @@ def _evaluation(
 def _step(
     kind: str,
     command: Iterable[str],
-    code: str,
+    versions: str,
     non_key_options: tuple[str, ...] = (),
     needs: tuple[Step, ...] = (),
 ) -> Step:
     template = list(command)
     check_command(" ".join(template))  # fail now rather than hours later, when the result is written
-    decides = json.dumps({"command": [_spelled_in_key(word) for word in template], "code": code}).encode()
+    decides = json.dumps({"command": template, "versions": versions}).encode()
     key = hashlib.sha256(decides).hexdigest()[:_LENGTH]
     return Step(kind, key, tuple(word.replace(_KEY, key) for word in template), non_key_options, needs)
-
-
-def _spelled_in_key(word: str) -> str:
-    if word == _COLLECTED:
-        return f"--root={word}"
-    name, equals, value = word.partition("=")
-    return f"{_SPELLED_IN_KEYS.get(name, name)}{equals}{value}"

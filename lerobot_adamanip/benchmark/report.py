@@ -47,13 +47,13 @@ class Entry:
     Attributes:
         numbers: metrics of all their episodes.
         seeds: training seeds with results.
-        other_code: whether some results were made with other code.
+        earlier: whether some results are of an earlier simulation or data version than others, or stale.
         other_options: whether some results were made with other options than declared.
     """
 
     numbers: Metrics
     seeds: tuple[int, ...]
-    other_code: bool
+    earlier: bool
     other_options: bool
 
 
@@ -72,7 +72,6 @@ class BenchmarkReport:
         missing: declared cells without a result.
         unavailable: method -> why it cannot run here; empty if not checked.
         results: all results of the report.
-        present: fingerprints of the present code and of code with equal results.
     """
 
     scale: str
@@ -88,7 +87,6 @@ class BenchmarkReport:
     missing: tuple[Cell, ...]
     unavailable: Mapping[str, str]
     results: tuple[CellResult, ...]
-    present: frozenset[str]
 
     def entry(self, method: str, category: str, objects: str, trials: int | None = None) -> Entry | None:
         """Returns the entry at a position; None if there is none."""
@@ -153,11 +151,10 @@ class BenchmarkReport:
         return paired_difference(pairs, min_outcome) if len(lengths) == 1 else None
 
     def scenes_of(self, result: CellResult) -> tuple[object, ...]:
-        """Returns all that decides the scenes of a result, equal for fingerprints of equal results."""
+        """Returns all that decides the scenes of a result."""
         given = result.evaluation_options.items()
         options = {each for each in given if each[0].startswith("--env.") and each[0] not in OBSERVATION_OPTIONS}
-        code = "present" if result.fingerprint in self.present else result.fingerprint
-        return code, result.scene_seeds, len(result.outcomes), frozenset(options)
+        return result.simulation_version, result.scene_seeds, len(result.outcomes), frozenset(options)
 
     def opened_with(self, method: str, objects: str) -> list[float]:
         """Returns the share of scenes opened with at most 0, 1, ... `MAX_COUNTED_TRIES` - 1 failed tries.
@@ -182,10 +179,10 @@ class BenchmarkReport:
 
     def csv_rows(self) -> Iterator[tuple[dict[str, object], Metrics]]:
         """Yields labels and metrics of each entry, for `csv_table`."""
-        fingerprints = {_place(result.cell): result.fingerprint for result in self.results}
+        versions = {_place(result.cell): result.simulation_version for result in self.results}
         for place, entry in self.entries.items():
             labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
-            made = {"result": f"benchmark/{self.scale}", "fingerprint": fingerprints[place]}
+            made = {"result": f"benchmark/{self.scale}", "simulation_version": versions[place]}
             yield {**made, **labels, "trainings": len(entry.seeds)}, entry.numbers
 
 
@@ -199,7 +196,6 @@ def make_report(
     results: Sequence[CellResult],
     declaration: Declaration,
     scale: str,
-    present: Collection[str],
     *,
     unavailable: Mapping[str, str] | None = None,
     stale: Collection[Cell] = (),
@@ -210,13 +206,13 @@ def make_report(
         results: of any cells, declared or not.
         declaration: the benchmark.
         scale: name of the scale.
-        present: fingerprints of the present code.
         unavailable: see `BenchmarkReport`.
-        stale: cells whose key has changed; detects changes of policies, which fingerprints do not cover.
+        stale: cells whose key has changed, for instance by another version of a policy's package.
     """
     declared, cells, there = declaration.scale(scale), all_cells(declaration, scale), {each.cell for each in results}
     other_options = _with_other_options(results, declaration, scale)
-    other_code = {each.cell for each in results if each.fingerprint not in present} | (set(stale) - other_options)
+    newest = max(map(_versions, results), default=None)
+    earlier = {each.cell for each in results if _versions(each) != newest} | (set(stale) - other_options)
     places = [_place(cell) for cell in (*cells, *there)]
     return BenchmarkReport(
         scale=scale,
@@ -228,12 +224,15 @@ def make_report(
         categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
         splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
         trials=tuple(sorted({trials for _, trials, _, _ in places if trials is not None})),
-        entries=_entries(results, other_code, other_options),
+        entries=_entries(results, earlier, other_options),
         missing=tuple(cell for cell in cells if cell not in there),
         unavailable=dict(unavailable or {}),
         results=tuple(results),
-        present=frozenset(present),
     )
+
+
+def _versions(result: CellResult) -> tuple[int, int]:
+    return result.simulation_version, result.data_version
 
 
 def _with_other_options(results: Iterable[CellResult], declaration: Declaration, scale: str) -> set[Cell]:
@@ -243,7 +242,7 @@ def _with_other_options(results: Iterable[CellResult], declaration: Declaration,
 
 
 def _entries(
-    results: Iterable[CellResult], other_code: Collection[Cell], other_options: Collection[Cell]
+    results: Iterable[CellResult], earlier: Collection[Cell], other_options: Collection[Cell]
 ) -> dict[Place, Entry]:
     found: dict[Place, list[CellResult]] = {}
     for result in results:
@@ -252,7 +251,7 @@ def _entries(
         place: Entry(
             numbers=pool(each.numbers for each in several),
             seeds=tuple(sorted(each.cell.seed for each in several)),
-            other_code=any(each.cell in other_code for each in several),
+            earlier=any(each.cell in earlier for each in several),
             other_options=any(each.cell in other_options for each in several),
         )
         for place, several in found.items()

@@ -18,13 +18,14 @@ from lerobot_adamanip.benchmark.paper_rates import (
 from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry
 from lerobot_adamanip.benchmark.result import StepCost
 from lerobot_adamanip.benchmark.run import WORDS
+from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import Rate
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
 
 _PAPER = f"the paper, {PAPER_OBJECTS}"
-OTHER_CODE, OTHER_OPTIONS, BELOW_PAPER = "†", "‡", " ↓"
+EARLIER, OTHER_OPTIONS, BELOW_PAPER = "†", "‡", " ↓"
 _LEGEND = (
     "Numbers are pooled over all trainings of a method, which see the same scenes. A mean weights all categories "
     "equally. The CSV file beside this page has counts, Wilson's 95 % intervals and all metrics of each category, also "
@@ -37,7 +38,7 @@ _PAPER_LEGEND = (
 )
 _SUCCESS, _WITHIN = operator.attrgetter("success"), operator.attrgetter("within_best_tries")
 _MARKS = {
-    OTHER_CODE: "measured with earlier code; the present code may give other numbers",
+    EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
     OTHER_OPTIONS: "of other options than declared now",
 }
 
@@ -106,14 +107,18 @@ def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
 
 def _extent(report: BenchmarkReport) -> str:
     """Returns the number of results, the missing cells, and methods that cannot run here."""
-    number = f"{counted(len(report.results), 'result')}{report.scenes and f' on {report.scenes} scenes'}."
+    simulation = " and ".join(sorted({str(result.simulation_version) for result in report.results}))
+    where = f" on {report.scenes} scenes, simulation version {simulation}" if report.results else ""
+    number = f"{counted(len(report.results), 'result')}{where}."
     legends = (report.note, number, _LEGEND, _PAPER_LEGEND * report.beside_paper)
     lines = [" ".join(filter(None, legends))]
     shown = "".join(map(_mark, report.entries.values()))
     if marks := [f"{mark}: {meaning}" for mark, meaning in _MARKS.items() if mark in shown]:
         lines.append(f"{'; '.join(marks)}.")
     if len({(report.scenes_of(result)[0], result.scenes) for result in report.results}) > 1:
-        lines.append("Mind: several fingerprints or splits of scenes; do not compare numbers of different ones.")
+        lines.append("Mind: several simulation versions or splits of scenes; do not compare numbers of different ones.")
+    if mixed := mixed_versions(result.all_versions for result in report.results):
+        lines.append(f"Mind: measured with different versions installed: {mixed}.")
     if report.missing:
         without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
         methods = f" No result of: {'; '.join(without)}." if without else ""
@@ -180,7 +185,7 @@ def _cell(entry: Entry | None, share: Callable[[Metrics], Rate | None], paper: t
 
 
 def _mark(entry: Entry) -> str:
-    marks = OTHER_CODE * entry.other_code + OTHER_OPTIONS * entry.other_options
+    marks = EARLIER * entry.earlier + OTHER_OPTIONS * entry.other_options
     return f"{' ' if marks else ''}{marks}"
 
 
@@ -252,14 +257,19 @@ def _costs(report: BenchmarkReport) -> str:
     )
     lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
     commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in report.results}
-    fingerprints = {f"`{each.fingerprint}`" for each in report.results}
-    versions = {each.version for each in report.results}
+    simulation, data, versions = (
+        {str(getattr(each, name)) for each in report.results}
+        for name in ("simulation_version", "data_version", "version")
+    )
+    installed = joined_versions(each.all_versions for each in report.results)
     scenes = {"{} to {}".format(*each.scene_seeds) for each in report.results}
     for what, values in (
         ("seeds of scenes", scenes),
         ("commit", commits),
-        ("fingerprint", fingerprints),
+        ("simulation version", simulation),
+        ("data version", data),
         ("version", versions),
+        ("installed", {f"{name} {version}" for name, version in installed.items()}),
     ):
         lines.append(f"- {what}: {', '.join(sorted(values))}")
     return "\n".join(lines)

@@ -15,9 +15,10 @@ from lerobot_adamanip.benchmark.command_options import evaluation_options, optio
 from lerobot_adamanip.benchmark.declaration import NAME, TITLE
 from lerobot_adamanip.benchmark.plan import EVALUATE, FOLDERS, Step
 from lerobot_adamanip.benchmark.training_log import TrainingLog
+from lerobot_adamanip.contract.versions import joined_versions
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
-from lerobot_adamanip.evaluation.provenance import HASH, MACHINE, Origin
+from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, VERSION_NUMBER, Origin
 from lerobot_adamanip.evaluation.results import check_command
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.files import write_atomically
@@ -51,11 +52,13 @@ class StepCost:
         begun: number of starts; more than one after interruptions.
         seconds: duration of the last run.
         machine: see `machine_class`.
+        versions: installed versions at its end; empty in results before simulation version 3.
     """
 
     begun: Annotated[int, integer(1, 10**6)]
     seconds: Annotated[float, number(0, 10**9)]
     machine: Annotated[Mapping[str, int | bool], MACHINE]
+    versions: Annotated[Mapping[str, str], mapping(LINE, LINE, 30)] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +72,7 @@ class CellResult(Origin):
         scale: name of the scale.
         options: key of the declared options, from `lerobot_adamanip.benchmark.plan.options_key`.
         steps: by name, see `named_steps`; the key of the last one is the cell's key.
-        fingerprint: of the code that decided the episodes.
+        simulation_version, data_version: see `lerobot_adamanip.contract.versions`.
         scene_seeds: first and last seed of the scenes.
         numbers: metrics of the episodes.
         outcomes, failed_tries: of the scenes, see `lerobot_adamanip.evaluation.paired`; empty in results of earlier
@@ -84,7 +87,8 @@ class CellResult(Origin):
     scale: Annotated[str, NAME]
     options: Annotated[str, HASH]
     steps: Annotated[Mapping[str, StepDone], mapping(_STEP_NAME, record(StepDone), 100)]
-    fingerprint: Annotated[str, HASH]
+    simulation_version: Annotated[int, VERSION_NUMBER]
+    data_version: Annotated[int, VERSION_NUMBER]
     scene_seeds: Annotated[tuple[int, int], listing(integer(0, 2**31), 2, 2)]
     numbers: Annotated[Metrics, Metrics.from_json]
     costs: Annotated[Mapping[str, StepCost], mapping(_STEP_NAME, record(StepCost), 100)]
@@ -104,6 +108,11 @@ class CellResult(Origin):
     def evaluation_options(self) -> Mapping[str, str]:
         """Options of the evaluation, by their names in `lerobot-eval`, read from its command."""
         return evaluation_options(shlex.split(self.steps[EVALUATE].command))
+
+    @property
+    def all_versions(self) -> dict[str, str]:
+        """Installed versions of all steps, by name; different ones are joined by ``and``."""
+        return joined_versions([self.versions, *(cost.versions for cost in self.costs.values())])
 
     def options_of(self, kind: str) -> Iterator[tuple[str, dict[str, str]]]:
         """Yields name and options of the steps of a kind."""

@@ -23,7 +23,7 @@ from lerobot_adamanip.benchmark.plan import (
     EVALUATE,
     MERGE,
     TRAIN,
-    Code,
+    KeyVersions,
     Step,
     last_checkpoint,
     named_steps,
@@ -32,6 +32,7 @@ from lerobot_adamanip.benchmark.plan import (
 )
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, write_cell
 from lerobot_adamanip.benchmark.training_log import TrainingLog, read_training_log
+from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
 from lerobot_adamanip.evaluation.log import read_log
@@ -43,7 +44,7 @@ from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
-"""States of a cell. Stale: result of other code or other options. Begun: at least one step was started."""
+"""States of a cell. Stale: result of other versions or other options. Begun: at least one step was started."""
 _POLL_SECONDS = 0.02
 SIGN_OF_LIFE_SECONDS = 30.0
 """Interval at which a running step is reported with the last line of its log."""
@@ -68,7 +69,7 @@ class CellState:
     Attributes:
         cell: the cell.
         state: see `DONE` and the others.
-        reason: why it is unavailable or has failed; otherwise empty.
+        reason: why it is unavailable or has failed, or which installed versions its result differs in; may be empty.
         result: content of its result file, if it exists.
     """
 
@@ -94,7 +95,7 @@ class BenchmarkRun:
     Attributes:
         declaration, scale: the benchmark.
         folder: its folder.
-        code: hashes of the code that affects results.
+        versions: versions in the cache keys.
         origin: origin of the results.
         machine: class of this machine, see `machine_class`.
         unavailable: method -> why it cannot run here.
@@ -107,7 +108,7 @@ class BenchmarkRun:
     declaration: Declaration
     scale: str
     folder: BenchmarkFolder
-    code: Code
+    versions: KeyVersions
     origin: Origin
     machine: Mapping[str, int | bool]
     unavailable: Mapping[str, str] = field(default_factory=dict)
@@ -120,13 +121,15 @@ class BenchmarkRun:
 
     def state(self, cell: Cell) -> CellState:
         """Returns the progress of a cell; runs nothing."""
-        path = self.folder.result(cell)
-        result = read_cell(path) if path.exists() else None
+        result = read_cell(path) if (path := self.folder.result(cell)).exists() else None
         if reason := self.unavailable.get(cell.method):
             return CellState(cell, UNAVAILABLE, reason, result)
         step = self._plan(cell)
         if result is not None:
-            return CellState(cell, DONE if result.key == step.key else STALE, result=result)
+            mixed = mixed_versions([result.all_versions, self.origin.versions])
+            reason = mixed and f"measured with other versions than installed: {mixed}"
+            # Told only: an update of a package changes few numbers, and would repeat days of work.
+            return CellState(cell, DONE if result.key == step.key else STALE, reason, result)
         begun = any(self.folder.is_begun(each) for each in step.chain())
         return CellState(cell, BEGUN if begun else MISSING)
 
@@ -194,8 +197,7 @@ class BenchmarkRun:
         if not command:
             self._end(step, begin, 0, "")
             return False
-        threads = 0 if self.jobs == 1 else self._cores_of_a_job
-        log = self.folder.log(step)
+        threads, log = 0 if self.jobs == 1 else self._cores_of_a_job, self.folder.log(step)
         process = self.runner(command, folder=self.folder.root, log=log, lock=lock, threads=threads)
         self._running[step.key] = _RunningStep(step, process, begin, command[0], label)
         return True
@@ -229,14 +231,14 @@ class BenchmarkRun:
             self._failed[step.key] = str(error)
             return
         machine = {**self.machine, "cores": self._cores_of_a_job}
-        self.folder.finish(step, time.perf_counter() - begin, machine)
+        self.folder.finish(step, time.perf_counter() - begin, machine, self.origin.versions)
 
     @property
     def _cores_of_a_job(self) -> int:
         return max(1, self.machine["cores"] // self.jobs)
 
     def _plan(self, cell: Cell) -> Step:
-        return plan(cell, self.declaration, self.scale, self.code)
+        return plan(cell, self.declaration, self.scale, self.versions)
 
     def _command(self, step: Step) -> list[str]:
         """Returns the command that continues a step; empty if the step has nothing left to do."""
@@ -262,12 +264,12 @@ class BenchmarkRun:
             records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
         except DatasetError as error:
             raise StepError(str(error)) from error
-        made = {(record.provenance.fingerprint, record.split) for record in records}
-        if len(records) != wanted or made != {(self.code.episodes, scenes)}:
-            got = ", ".join(f"{split} scenes of the code {code}" for code, split in sorted(made, key=str))
+        made = {(record.provenance.simulation_version, record.split) for record in records}
+        if len(records) != wanted or made != {(self.versions.simulation, scenes)}:
+            got = ", ".join(f"{split} scenes of simulation version {each}" for each, split in sorted(made, key=str))
             raise StepError(
                 f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {wanted}, "
-                f"{scenes} scenes of the code {self.code.episodes}."
+                f"{scenes} scenes of simulation version {self.versions.simulation}."
             )
         return records
 
@@ -285,7 +287,8 @@ class BenchmarkRun:
             scale=self.scale,
             options=options_key(cell, self.declaration, self.scale),
             steps={name: StepDone.of(each) for name, each in steps.items()},
-            fingerprint=self.code.episodes,
+            simulation_version=self.versions.simulation,
+            data_version=self.versions.data,
             **vars(self.origin),
             scene_seeds=(min(seeds), max(seeds)),
             numbers=measure(records),

@@ -16,7 +16,7 @@ from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.packages import with_packages
-from lerobot_adamanip.benchmark.plan import NUMBERS, Code
+from lerobot_adamanip.benchmark.plan import KeyVersions
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
@@ -25,7 +25,6 @@ from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
 from lerobot_adamanip.cli.benchmark_options import DEFAULT_SCALE, BenchmarkOptions
 from lerobot_adamanip.cli.progress import show_progress
-from lerobot_adamanip.collection.fingerprint import recording_hash
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate, success_summary
@@ -33,7 +32,6 @@ from lerobot_adamanip.evaluation.tables import csv_table
 from lerobot_adamanip.evaluation.text_format import counted, interval_text
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
-from lerobot_adamanip.util.fingerprint import code_closure, code_hash, combined
 
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
@@ -83,20 +81,12 @@ def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
 
 
 def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) -> BenchmarkRun:
-    from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
-
     policies, unavailable = find_policies(declaration.methods)
-    experts = {name: code_fingerprint()["experts"] for name, method in declaration.methods.items() if method.expert}
     return BenchmarkRun(
         declaration=declaration,
         scale=scale,
         folder=BenchmarkFolder((options.out / scale).absolute()),
-        code=Code(
-            demonstrations=combined({**code_fingerprint(), "recording": recording_hash()}),
-            episodes=environment_fingerprint(),
-            policies={**policies, **experts},
-            numbers=code_hash(code_closure(*NUMBERS)),
-        ),
+        versions=KeyVersions(policies=policies),
         origin=present_origin(),
         machine=machine_class(),
         unavailable=unavailable,
@@ -147,7 +137,6 @@ def _write_report(made: BenchmarkRun) -> dict[str, str]:
         read_cells(made.folder.cells),
         made.declaration,
         made.scale,
-        {made.code.episodes},
         unavailable=made.unavailable,
         stale=stale,
     )
@@ -176,6 +165,6 @@ def _state_json(state: CellState) -> dict[str, Any]:
 
 
 def _told(state: CellState) -> str:
-    """Returns the reason of a cell's state, or its success rate."""
+    """Returns a cell's success rate, if it has a result, and the reason of its state."""
     success = rate(0, 0) if state.result is None else state.result.numbers.success
-    return state.reason or (interval_text(success) if success.episodes else "")
+    return "; ".join(filter(None, (interval_text(success) if success.episodes else "", state.reason)))

@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Literal
 from lerobot_adamanip.cli.arguments import Category, print_result
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.contract.seeds import Stream, episode_generator
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from lerobot_adamanip.episode.rollout import SimulatedEnvironment
     from lerobot_adamanip.evaluation.record import EpisodeRecord
-
-_EXPERT_STREAM = 1
-"""Distinguishes the expert's random numbers from those of the scene."""
 
 
 @dataclass
@@ -113,8 +111,6 @@ class Expert:
 
     def _episode(self, env: SimulatedEnvironment, seed: int) -> None:
         """Runs an episode to its end: if the expert gives up, its last goal is repeated until a limit is reached."""
-        import numpy as np
-
         from lerobot_adamanip.episode.rollout import KeyFrame, rollout
         from lerobot_adamanip.experts import make_expert
 
@@ -123,7 +119,7 @@ class Expert:
             self.category,
             self.expert,
             env.annotations,
-            generator=np.random.default_rng([seed, _EXPERT_STREAM]),
+            generator=episode_generator(seed, Stream.EXPERT, self.category),
             trials=self.trials,
             hidden=env.hidden_state() if self.expert == "static" else None,
             strategy=self.expert_strategy,

@@ -39,10 +39,7 @@ class Merge:
         text = f"{merged.episodes} episodes in {self.out}"
         if merged.whole:
             text += ", all of the dataset that was split"
-        if len(merged.fingerprints) > 1:
-            text += (
-                f"\nNote: {len(merged.fingerprints)} versions of the code recorded them (column `fingerprint` of "
-                "meta/episodes)."
-            )
+        if merged.mixed_versions:
+            text += f"\nNote: recorded with different versions (column `versions`): {merged.mixed_versions}."
         print_result(self.json, {"out": self.out, **asdict(merged)}, text)
         return 0

@@ -105,9 +105,10 @@ class Push:
         into.mkdir()
         results = read_results(self.results, self.results_command)
         if self.kind == "environment":
-            from lerobot_env_adamanip.fingerprint import code_fingerprint
+            from lerobot_adamanip.evaluation.provenance import present_origin
 
-            return stage_environment(self.repo_id, into, code_fingerprint(), category=self.category, results=results)
+            commit = present_origin().commit or ""
+            return stage_environment(self.repo_id, into, category=self.category, results=results, commit=commit)
         assert self.folder is not None
         if self.kind == "model":
             return stage_model(self.folder, self.repo_id, into, results=results, dataset=self.dataset)

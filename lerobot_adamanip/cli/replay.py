@@ -62,6 +62,6 @@ class Replay:
             *(f"  {name:<24} largest difference {value:.3g}" for name, value in result.differences.items()),
         ]
         if result.changed:
-            lines.append(f"Recorded under another fingerprint: {', '.join(result.changed)} differ.")
+            lines.append(f"Recorded with other versions: {', '.join(result.changed)} differ.")
         verdict = "Replay matches the recording." if agrees else f"Replay differs (tolerance {self.tolerance:g})."
         return "\n".join([*lines, verdict])

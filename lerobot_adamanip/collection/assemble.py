@@ -24,7 +24,7 @@ from lerobot_adamanip.util.errors import DatasetError
 
 _PLAIN_COLUMNS = (
     "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
-    "fingerprint",
+    "simulation_version", "data_version",
 )  # fmt: skip
 MIN_EPISODES_PER_WORKER = 32
 """Episodes per additional worker process: importing LeRobot takes as long as preparing ten."""

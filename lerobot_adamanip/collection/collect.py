@@ -13,7 +13,6 @@ from pathlib import Path
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
-from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.folder_identity import is_own_partial, prepare_partial, require_finished
 from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, write_outcome
 from lerobot_adamanip.collection.parts import Part, belongs, failed_attempts, given_up, import_parts
@@ -108,13 +107,13 @@ def collect(
         require_usable(options.cluster, insecure=options.insecure_cluster)
     paths = CollectionPaths(resolve_output(root))
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
-        require_finished(paths.root, Manifest.of(spec, _fingerprint(spec, factories)))
+        require_finished(paths.root, Manifest.of(spec, _versions(spec, factories)))
         return Run(begin).summarize(paths.root, spec)
     with _claimed(paths, spec) as output:
-        manifest = Manifest.of(spec, _fingerprint(spec, factories))
+        manifest = Manifest.of(spec, _versions(spec, factories))
         if _is_complete(output, paths, manifest):
             return Run(begin).summarize(paths.root, spec)
-        job = RecordingJob(spec, factories, options.max_attempts, manifest.fingerprint)
+        job = RecordingJob(spec, factories, options.max_attempts, manifest.versions)
         summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
         if options.part is None:
             output.discard()
@@ -142,9 +141,9 @@ def _collected(
     return run.summarize(paths.root, job.spec)
 
 
-def _fingerprint(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
+def _versions(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
     with contextlib.closing(factories.environment(spec.environment_of(spec.categories[0]))) as env:
-        return collection_fingerprint(env)
+        return env.software_versions()
 
 
 # Folders --------------------------------------------------------------------------------------------------------------

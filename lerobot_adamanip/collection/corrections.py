@@ -24,8 +24,6 @@ from lerobot_adamanip.experts import Belief
 Action = NDArray[np.float32]
 BEYOND = 1
 """Key frames after success, about as many as in demonstrations."""
-STREAM = 3
-"""Stream id that separates these random numbers from others with the same episode seed."""
 
 
 class Actor(Protocol):
@@ -58,12 +56,14 @@ class Correcting:
         take_over: creates the expert that labels, and sometimes acts.
         expert_share: probability that the expert acts at a key frame.
         seed: seed of the episode.
+        generator: random numbers of the expert's labels, and of who acts.
     """
 
     actor: Actor
     take_over: TakeOver
     expert_share: float
     seed: int
+    generator: np.random.Generator
 
 
 def corrected_rollout(
@@ -80,7 +80,7 @@ def corrected_rollout(
         correcting: policy and expert.
         on_key_frame: called with every key frame.
     """
-    actor, rng = correcting.actor, np.random.default_rng([correcting.seed, STREAM])
+    actor, rng = correcting.actor, correcting.generator
     actor.reset(correcting.seed)
     belief, success, key_frames, beyond, reason = Belief(), False, 0, 0, TIME_LIMIT
     while key_frames < env.max_key_frames and beyond < BEYOND:

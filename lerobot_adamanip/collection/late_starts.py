@@ -19,14 +19,13 @@ from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames, Phase
 from lerobot_adamanip.contract.observation import Observation
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.contract.schema import ACTION_DIM
+from lerobot_adamanip.contract.seeds import Stream, episode_generator
 from lerobot_adamanip.episode.rollout import KeyframeEnvironment, SimulatedEnvironment, next_goal
 
 KEY_FRAMES = (3, 12)
 """Minimum and maximum key frames of the unrecorded expert; fewer than it needs to succeed."""
 BACK, SIDEWAYS, TURN = (0.05, 0.15), 0.03, 0.15
 """Motion of the hand: range backwards [m], standard deviations sideways [m] and of the rotation [rad]."""
-_STREAM = 2
-"""Stream id that separates these random numbers from others with the same episode seed."""
 
 Actions = NDArray[np.float32]
 
@@ -38,27 +37,28 @@ class LateStart:
     Attributes:
         key_frames: maximum key frames of the unrecorded expert.
         move: (4, 4) motion of the hand away from the part, in the hand's frame [m].
-        seed: seed of the episode.
+        seed, category: of the episode.
     """
 
     key_frames: int
     move: NDArray[np.float64]
     seed: int
+    category: str
 
     @property
     def generator(self) -> np.random.Generator:
         """Returns a new generator for the unrecorded expert."""
-        return np.random.default_rng([self.seed, _STREAM, 1])
+        return episode_generator(self.seed, Stream.LATE_EXPERT, self.category)
 
 
-def draw_start(seed: int, share: float) -> LateStart | None:
-    """Samples the start of an episode from its seed alone; None for a start at rest."""
-    rng = np.random.default_rng([seed, _STREAM])
+def draw_start(seed: int, category: str, share: float) -> LateStart | None:
+    """Samples the start of an episode from its seed and category; None for a start at rest."""
+    rng = episode_generator(seed, Stream.LATE_START, category)
     if rng.random() >= share:
         return None
     back, sideways, turn = rng.uniform(*BACK), np.clip(rng.normal(size=2), -2, 2), np.clip(rng.normal(size=3), -2, 2)
     move = transform((*(SIDEWAYS * sideways), -back), Rotation.from_rotvec(TURN * turn).as_matrix())
-    return LateStart(int(rng.integers(KEY_FRAMES[0], KEY_FRAMES[1] + 1)), move, seed)
+    return LateStart(int(rng.integers(KEY_FRAMES[0], KEY_FRAMES[1] + 1)), move, seed, category)
 
 
 def start_late(
@@ -86,6 +86,7 @@ def start_late(
             if any(env.drive(actions[-1])):
                 break
         else:
+            env.restart_episode()
             return env.observe(), np.stack(actions)
     return reset(), np.zeros((0, ACTION_DIM), np.float32)
 

@@ -10,12 +10,11 @@ from pathlib import Path
 
 from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, attempts_file
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
-from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same
+from lerobot_adamanip.datasets.manifest import Manifest, are_same_versions, read_manifest, require_same
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.shards import read_record, write_shard_bytes
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.fingerprint import combined
 from lerobot_adamanip.util.jobs import JobResult
 from lerobot_adamanip.util.json_fields import read
 
@@ -78,7 +77,7 @@ def _import_item(paths: CollectionPaths, part: CollectionPaths, manifest: Manife
             raise DatasetError(
                 "An episode of a part is damaged, or is not what its name says.",
                 got=source,
-                allowed=f"{item}, recorded under fingerprint {combined(manifest.fingerprint)}",
+                allowed=f"{item}, recorded with the versions of the collection",
                 hint="delete this file and run the part again",
             )
         write_shard_bytes(target, source.read_bytes())
@@ -90,8 +89,8 @@ def _import_item(paths: CollectionPaths, part: CollectionPaths, manifest: Manife
 def belongs(path: Path, manifest: Manifest, item: EpisodeSpec) -> bool:
     """Returns whether a file contains a kept or failed episode of this item and collection."""
     record = read_record(path) or {}
-    place = (record.get("slot"), record.get("object_id"), record.get("fingerprint"))
-    return place == (item.slot, item.object_id, combined(manifest.fingerprint))
+    place = (record.get("slot"), record.get("object_id"))
+    return place == (item.slot, item.object_id) and are_same_versions(record.get("versions"), manifest.versions)
 
 
 def failed_attempts(folder: Path, item: EpisodeSpec) -> list[Path]:

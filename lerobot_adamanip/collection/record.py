@@ -16,11 +16,12 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
-from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
 from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, write_outcome
 from lerobot_adamanip.collection.recorder import EpisodeRecorder
 from lerobot_adamanip.contract.keyframes import KeyFrames
+from lerobot_adamanip.contract.seeds import Stream, episode_generator
+from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
@@ -28,11 +29,7 @@ from lerobot_adamanip.datasets.start_column import start_column
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
-from lerobot_adamanip.util.fingerprint import combined, cpu_model, versions
 from lerobot_adamanip.util.jobs import Heartbeat
-
-_EXPERT_STREAM = 1
-"""Stream id that separates the expert's random numbers from others with the same episode seed."""
 
 EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
 """Builds an environment. Must be a module-level function or a `functools.partial` of one, to be sent to workers."""
@@ -72,13 +69,13 @@ class RecordingJob:
         spec: specification of the collection.
         factories: of environments and experts.
         max_attempts: maximum number of seeds per episode.
-        fingerprint: required fingerprint of every environment.
+        versions: required software versions of every environment.
     """
 
     spec: CollectionSpec
     factories: Factories
     max_attempts: int
-    fingerprint: Mapping[str, str]
+    versions: Mapping[str, str]
 
 
 class Environments:
@@ -112,7 +109,7 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Hear
 
     def make(options: EnvironmentOptions) -> SimulatedEnvironment:
         env = job.factories.environment(options)
-        _require_fingerprint(env, job)
+        _require_versions(env, job)
         return env
 
     with Environments(make, job.spec) as environments:
@@ -128,14 +125,14 @@ def writing_session(
         yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 
 
-def _require_fingerprint(env: SimulatedEnvironment, job: RecordingJob) -> None:
-    found = collection_fingerprint(env)
-    if parts := differing_parts(found, job.fingerprint):
+def _require_versions(env: SimulatedEnvironment, job: RecordingJob) -> None:
+    found = env.software_versions()
+    if parts := differing_parts(found, job.versions):
         raise DatasetError(
-            f"A worker has another fingerprint than the collection: {', '.join(parts)} differ.",
+            f"A worker has other versions than the collection: {', '.join(parts)} differ.",
             got="; ".join(f"{name} = {found.get(name)}" for name in parts),
-            allowed="; ".join(f"{name} = {job.fingerprint.get(name)}" for name in parts),
-            hint="the same command again; was the code changed meanwhile?",
+            allowed="; ".join(f"{name} = {job.versions.get(name)}" for name in parts),
+            hint="the same command again; was the code or a package changed meanwhile?",
         )
 
 
@@ -157,6 +154,8 @@ def record_item(
             attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat, actor=actor)
         except UnreachableError as error:
             attempts.append(Attempt(seed, hidden, False, f"unreachable: {error}".partition("\n")[0], 0, False))
+            if error.is_certain:
+                break
             continue
         attempts.append(attempt)
         hidden = attempt.hidden_state
@@ -186,7 +185,7 @@ def attempt_episode(
     observation, actions = _started(env, spec, make_expert, request)
     hidden, camera = env.hidden_state(), env.camera_parameters()
     late = bool(len(actions))
-    recorder = EpisodeRecorder(env.joints, env.labels.trial + env.labels.failed if late else 0)
+    recorder = EpisodeRecorder(env.joints)
 
     def observe(key_frame: Any) -> None:
         recorder.record(key_frame)
@@ -196,18 +195,20 @@ def attempt_episode(
     if actor is None:
         result = rollout(env, observation, make(late=late), observe, past_success=True)
     else:
-        correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed)
+        rng = episode_generator(seed, Stream.CORRECTION, category_of(request.object_id))
+        correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed, rng)
         result = corrected_rollout(env, observation, correcting, observe)
     attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
     record = _episode_record(env, spec, request, attempt)
     record |= {"start": start_column(actions), "camera": camera}
-    record |= {"tries": recorder.tries, "failed_tries": recorder.failed_tries}
     return attempt, RecordedEpisode(recorder.columns(), record)
 
 
 def _episode_record(
     env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
 ) -> dict[str, Any]:
+    episode_record = env.episode_record()
+    tries = episode_record["try_sequence"]
     return {
         "object_id": request.object_id,
         "seed": attempt.seed,
@@ -217,9 +218,12 @@ def _episode_record(
         "success": attempt.success,
         "key_frames": attempt.key_frames,
         "task": env.task_description,
-        "episode_record": env.episode_record(),
-        "versions": {**versions(), "cpu": cpu_model()},
-        "fingerprint": combined(collection_fingerprint(env)),
+        "tries": len(tries),
+        "failed_tries": sum(failed for _, _, failed in tries),
+        "episode_record": episode_record,
+        "versions": {**env.software_versions(), "cpu": cpu_model()},
+        "simulation_version": SIMULATION_VERSION,
+        "data_version": DATA_VERSION,
     }
 
 
@@ -239,7 +243,7 @@ def _expert(
         spec.expert,
         env.annotations,
         trials=spec.trials,
-        generator=generator or np.random.default_rng([request.seed, _EXPERT_STREAM]),
+        generator=generator or episode_generator(request.seed, Stream.EXPERT, category_of(request.object_id)),
         hidden=env.hidden_state() if spec.expert == "static" else None,
         strategy=spec.expert_strategy,
         mechanism_rules=spec.environment.mechanism_rules,
@@ -265,7 +269,7 @@ def _started(
         category, hidden = category_of(request.object_id), env.hidden_state()
         return make_expert(category, "static", env.annotations, generator=generator, hidden=hidden)
 
-    start = draw_start(request.seed, spec.late_starts)
+    start = draw_start(request.seed, category_of(request.object_id), spec.late_starts)
     if start is None:
         return reset(), np.zeros((0, 10), np.float32)
     return start_late(env, start, reset, driver)

@@ -25,17 +25,11 @@ class EpisodeRecorder:
 
     Attributes:
         joints: returns the present joint positions (13,), see `schema.JOINT_NAMES`.
-        failed_before: failed tries before the recording; its rows do not count them.
         rows: recorded rows, column -> array, without the terminal one.
-        tries: number of tries so far.
-        failed_tries: number of failed tries so far.
     """
 
     joints: Callable[[], NDArray[np.float32]]
-    failed_before: int = 0
     rows: list[Row] = field(default_factory=list)
-    tries: int = 0
-    failed_tries: int = 0
     _last: KeyFrame | None = None
     _before: NDArray[np.float32] = field(init=False)
 
@@ -48,8 +42,6 @@ class EpisodeRecorder:
         if outcome is None:
             raise ValueError("Feedback of a finished key frame carries an outcome; this one is from before the first.")
         labels = key_frame.labels
-        self.tries += labels.tried >= 0
-        self.failed_tries += labels.failed
         self._last = key_frame
         row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
         executed = row[schema.ACTION] if key_frame.executed is None else key_frame.executed
@@ -72,7 +64,7 @@ class EpisodeRecorder:
     ) -> Row:
         values = {
             schema.PHASE: goal.phase,
-            schema.TRIAL: labels.trial - self.failed_before,
+            schema.TRIAL: labels.trial,
             schema.OUTCOME: outcome,
             schema.TRIED: labels.tried,
             schema.FAILED: labels.failed,

@@ -13,10 +13,10 @@ import numpy as np
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.collection.collected_dataset import CollectedDataset
-from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.record import EnvFactory, Environments
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column
+from lerobot_adamanip.contract.versions import cpu_model
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, differing_parts, read_manifest, require_same, write_manifest
@@ -35,7 +35,6 @@ from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.fingerprint import combined
 
 Progress = Callable[[str, int, int], None]
 MANIFEST, SOURCE = "collection.json", "source"
@@ -122,7 +121,7 @@ def _rendered(
             path = folder / f"{number:06d}.safetensors"
             if read_record(path) is None:
                 env = environments.of(category_of(row["object_id"]))
-                write_shard(path, _with_images(env, source, number, combined(manifest.fingerprint)))
+                write_shard(path, _with_images(env, source, number))
             shards.append(path)
             progress("render", number + 1, len(source.rows))
     return shards
@@ -176,19 +175,19 @@ def _pictured(source: CollectedDataset, make_env: EnvFactory) -> Manifest:
     before = source.manifest
     spec = replace(before.spec, environment=before.spec.environment.changed(observe_images=True))
     with contextlib.closing(make_env(spec.environment_of(spec.categories[0]))) as env:
-        found = collection_fingerprint(env)
-    changed = [part for part in differing_parts(before.fingerprint, found) if part != "renderer"]
+        found = env.software_versions()
+    changed = [part for part in differing_parts(before.versions, found) if part != "renderer"]
     if changed:
         raise DatasetError(
-            f"The dataset was recorded under another fingerprint: {', '.join(changed)} differ.",
+            f"The dataset was recorded with other versions: {', '.join(changed)} differ.",
             got="; ".join(f"{name} = {found.get(name)}" for name in changed),
-            allowed="; ".join(f"{name} = {before.fingerprint.get(name)}" for name in changed),
-            hint="use the code and versions of the recording: other code may make other scenes from its seeds",
+            allowed="; ".join(f"{name} = {before.versions.get(name)}" for name in changed),
+            hint="install the versions of the recording: others may make other scenes from its seeds",
         )
-    return replace(before, spec=spec, fingerprint=found)
+    return replace(before, spec=spec, versions=found)
 
 
-def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: int, fingerprint: str) -> RecordedEpisode:
+def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: int) -> RecordedEpisode:
     """Returns an episode with images for all its rows."""
     episode = source.episode(number)
     record, joints = episode.record, episode.columns[schema.JOINTS]
@@ -204,4 +203,5 @@ def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: in
         )
     pictures = [env.pictures_at(each) for each in joints]
     images = {image_column(name): np.stack([each[name] for each in pictures]) for name in pictures[0]}
-    return RecordedEpisode({**episode.columns, **images}, {**record, "fingerprint": fingerprint})
+    versions = {**env.software_versions(), "cpu": cpu_model()}
+    return RecordedEpisode({**episode.columns, **images}, {**record, "versions": versions})

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.collected_dataset import CollectedDataset, CollectedEpisode
-from lerobot_adamanip.collection.fingerprint import collection_fingerprint
 from lerobot_adamanip.collection.record import EnvFactory, Environments
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import observation_columns
@@ -44,7 +43,7 @@ class ReplayResult:
         differences: column -> largest absolute difference over all key frames, in units of the column.
         success: whether the replay succeeded.
         recorded_success: whether the recording succeeded.
-        changed: fingerprint parts that differ between the recording and this program.
+        changed: names of versions that differ between the recording and this program.
     """
 
     episode: int
@@ -112,7 +111,7 @@ def _replayed(
     object_id = recorded.record["object_id"]
     _require_content(dataset.manifest, object_id, assets)
     env = environments.of(category_of(object_id))
-    changed = differing_parts(dataset.manifest.fingerprint, collection_fingerprint(env))
+    changed = differing_parts(dataset.manifest.versions, env.software_versions())
     seen, pictures, success = _run(env, recorded, progress, look=look)
     result = ReplayResult(
         episode=episode,
@@ -173,6 +172,7 @@ def _run(
     for action in recorded.prefix:
         env.drive(action)
     if len(recorded.prefix):
+        env.restart_episode()
         observation = env.observe()
     actions = recorded.columns[schema.EXECUTED][:-1]  # the terminal row's action was never sent
     seen, success = [observation_columns(observation)], False

@@ -17,7 +17,8 @@ FOLLOWED = 0.5
 """Least share of a commanded motion that a following part covers; a part that covers less is blocked."""
 EMPTY_HAND = 0.05
 """Gripper opening below which the hand is empty: the grip was lost, or closed on nothing."""
-
+CLOSED_HAND = 0.5
+"""Commanded gripper opening below which the hand closes."""
 OPEN_HAND = 0.9
 """Gripper opening above which the hand holds nothing; around a bottle's cap it is 0.6."""
 
@@ -69,11 +70,13 @@ class Feedback:
         tcp_in_base: (4, 4) pose reached, robot base frame [m].
         gripper: opening reached, 0 closed ... 1 open.
         outcome: how the key frame ended; None at the start.
+        is_clipped: whether the commanded position was outside `MotionLimits`' box, so that the goal was another one.
     """
 
     tcp_in_base: NDArray[np.float64]
     gripper: float
     outcome: Outcome | None = None
+    is_clipped: bool = False
 
     @property
     def failed(self) -> bool:
@@ -83,26 +86,24 @@ class Feedback:
 
 @dataclass(frozen=True)
 class KeyFrameLabels:
-    """Which joint a key frame tried to move, and the result. Set by the environment, for analysis.
+    """Try of a key frame, and its result. Set by the environment, for analysis; never a policy input.
 
-    A *try* is a key frame in which a closed hand at a part is commanded far enough to move one of its joints. The tried
-    joint is the one whose motion ends nearest to the goal. The try *failed* if the joint covered less than half of the
-    commanded motion, clipped to its nominal range (a button is commanded past its stop). Labels are never policy
-    inputs. `lerobot_adamanip.episode.contact_labels` computes them.
+    `lerobot_adamanip.episode.tries` defines a try, by contacts. A try may last several key frames, and a key frame with
+    several tries has the labels of the longest.
 
     Attributes:
         tried: index of the tried joint in the mechanism's `joints` (0 is the one that opens); -1 for none.
-        failed: whether the try failed; False without a try.
-        progress: motion of the tried joint in the commanded direction [rad or m]; 0 without a try.
-        sent: commanded motion of the tried joint, signed [rad or m]; 0 without a try.
+        failed: whether the joint had not moved by the end of the key frame; False without a try.
+        progress: motion of the tried joint in this key frame, in the direction of the try [rad or m]; 0 without a try.
         trial: number of failed tries in this episode before this key frame.
+        direction: sign of the try; 0 without a try.
     """
 
     tried: int = -1
     failed: bool = False
     progress: float = 0.0
     trial: int = 0
-    sent: float = 0.0
+    direction: int = 0
 
 
 KeyFrames = Generator[Goal, Feedback, None]

@@ -177,4 +177,4 @@ RUNTIME_FIELDS = (
     "logged_seeds",
 )  # fmt: skip
 """Other options: category and objects have their own fields, the split is constant, paths are local, runs belong to
-evaluations, and the fingerprint covers the renderer."""
+evaluations, and its versions cover the renderer."""

@@ -71,12 +71,9 @@ _FIELDS: Mapping[str, Check] = {
     "video_path": optional(choice((VIDEO_PATH,))),
 }
 _NEEDED = ("total_frames", "total_episodes", "fps")
-_MARKUP = re.compile(r"[<>`|\[\]\x00-\x1f\x7f-\x9f]")
-_OF_CARDS: Mapping[str, re.Pattern[str]] = {
-    **dict.fromkeys(("object_id", "expert", "fingerprint", "versions", "hidden_state"), _MARKUP),
-    "recorded": re.compile(r"[<>`|\x00-\x1f\x7f-\x9f]"),  # shown as code; names of folders may have brackets
-}
-"""Column of episodes that a card shows -> characters that would be markup there."""
+_MARKUP = re.compile(r"[<>`|\x00-\x1f\x7f-\x9f]|\]\(")
+_OF_CARDS = ("object_id", "expert", "versions", "hidden_state", "recorded")
+"""Columns of episodes that a card shows."""
 
 
 def check_info(info: Any) -> dict[str, Any]:
@@ -134,7 +131,7 @@ def check_episode_text(column: str, value: object) -> None:
     try:
         text(r"(?s)[^\x00-\x08\x0b-\x1f\x7f-\x9f]*", "printable text")(column, value)
         if column in _OF_CARDS:
-            _check_words(column, _parsed(value), _OF_CARDS[column])
+            _check_words(column, _parsed(value))
     except ValueError as error:
         raise UntrustedValueError(str(error)) from None
 
@@ -146,14 +143,14 @@ def _parsed(value: str) -> Any:
         return value
 
 
-def _check_words(name: str, value: object, markup: re.Pattern[str]) -> None:
+def _check_words(name: str, value: object) -> None:
     """Raises ValueError for a text in a JSON value that has markup."""
     if isinstance(value, Mapping):
         value = [*value.keys(), *value.values()]
     if isinstance(value, list):
         for each in value:
-            _check_words(name, each, markup)
-    elif isinstance(value, str) and markup.search(value):
+            _check_words(name, each)
+    elif isinstance(value, str) and _MARKUP.search(value):
         raise ValueError(f"{name} has markup: {value[:80]!r}")
 
 

@@ -55,7 +55,7 @@ from lerobot_adamanip.util.json_fields import (
     text,
 )
 
-FORMAT = 2
+FORMAT = 3
 """Version of the manifest and of the columns beside it."""
 HIDDEN_STATE: Check = mapping(
     text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
@@ -85,22 +85,22 @@ class Manifest:
 
     Attributes:
         spec: the options.
-        fingerprint: see `lerobot_adamanip.util.fingerprint`.
+        versions: name -> version of the software, from the environment's ``software_versions``.
         external_assets: object id -> hash of its folder's content; empty for generated objects.
         attempts: counts of a finished collection.
     """
 
     spec: CollectionSpec
-    fingerprint: Mapping[str, str] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
     external_assets: Mapping[str, str] = field(default_factory=dict)
     attempts: AttemptCounts | None = None
 
     @classmethod
-    def of(cls, spec: CollectionSpec, fingerprint: Mapping[str, str]) -> Manifest:
+    def of(cls, spec: CollectionSpec, versions: Mapping[str, str]) -> Manifest:
         """Returns the manifest of a new collection."""
         assets = spec.environment.assets
         hashes = {} if assets is None else {name: asset_hash(assets, name) for name in spec.objects}
-        return cls(spec, dict(fingerprint), hashes)
+        return cls(spec, dict(versions), hashes)
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
@@ -113,7 +113,7 @@ class Manifest:
                 "objects": list(spec.objects),
                 "environment": environment_json(spec.environment),
             },
-            "fingerprint": dict(self.fingerprint),
+            "versions": dict(self.versions),
             "external_assets": dict(self.external_assets),
             "attempts": None if self.attempts is None else vars(self.attempts),
         }
@@ -162,7 +162,7 @@ def stored_images(paths: CollectionPaths) -> bool | None:
 
 
 def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
-    """Raises `DatasetError` that names all options, objects and fingerprint parts in which two manifests differ."""
+    """Raises `DatasetError` that names all options, objects and versions in which two manifests differ."""
     for what, hint, old, new in (
         (
             "holds a collection made with other options",
@@ -177,10 +177,10 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
             wanted.external_assets,
         ),
         (
-            "was recorded under another fingerprint",
-            "the code and versions of before, or another folder: episodes of both do not go together",
-            stored.fingerprint,
-            wanted.fingerprint,
+            "was recorded with other versions",
+            "install the versions of before, or use another folder: episodes of both do not go together",
+            stored.versions,
+            wanted.versions,
         ),
     ):
         if parts := differing_parts(old, new):
@@ -190,6 +190,11 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
                 allowed="; ".join(f"{name} = {_told(old.get(name))}" for name in parts),
                 hint=hint,
             )
+
+
+def are_same_versions(of_episode: object, of_collection: Mapping[str, str]) -> bool:
+    """Returns whether an episode has the versions of a collection; its ``cpu`` may be any."""
+    return isinstance(of_episode, Mapping) and {**of_episode, "cpu": ""} == {**of_collection, "cpu": ""}
 
 
 def differing_parts(one: Mapping[str, Any], other: Mapping[str, Any]) -> tuple[str, ...]:
@@ -218,13 +223,11 @@ def _object_id(name: str, value: object) -> str:
 
 
 def _environment(name: str, value: object) -> dict[str, Any]:
-    """Checks the options of an environment; collections of 0.2 have no ``max_failed_tries``."""
-    known = {"max_failed_tries": None, **value} if isinstance(value, Mapping) else value
-    checked: dict[str, Any] = table(_ENVIRONMENT)(name, known)
+    checked: dict[str, Any] = table(_ENVIRONMENT)(name, value)
     return checked
 
 
-_HASHES = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a hash or a name"), 64)
+_VERSIONS = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a version"), 64)
 _CORNER = listing(number(-10.0, 10.0), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
     "num_points": integer(MIN_POINTS, MAX_POINTS),
@@ -254,7 +257,7 @@ _MANIFEST: Mapping[str, Check] = {
     "format": integer(FORMAT, FORMAT),
     "category": choice((*CATEGORIES, ALL)),
     "collection": table(_COLLECTION),
-    "fingerprint": _HASHES,
+    "versions": _VERSIONS,
     "external_assets": mapping(_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
     "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),
 }
@@ -282,4 +285,4 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
     if spec.category != content["category"]:
         raise ValueError(f"category is {content['category']!r}, but its objects are of {spec.category!r}")
     counts = content["attempts"]
-    return Manifest(spec, content["fingerprint"], hashes, None if counts is None else AttemptCounts(**counts))
+    return Manifest(spec, content["versions"], hashes, None if counts is None else AttemptCounts(**counts))

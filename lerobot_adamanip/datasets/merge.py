@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.compose import Pieces, Progress, compose
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.reading import load_check, workspace_of
@@ -17,6 +18,7 @@ from lerobot_adamanip.datasets.selection import Selection
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.json_fields import parse
 
 
 @dataclass(frozen=True)
@@ -28,8 +30,8 @@ class Merged:
     """Whether the sources are parts of one dataset; the episodes then have its order."""
     whole: bool
     """Whether they are all of its parts."""
-    fingerprints: tuple[str, ...]
-    """Fingerprints of the episodes; more than one means that they were recorded by different code."""
+    mixed_versions: str
+    """Versions of the software that differ between episodes; empty if none do."""
 
 
 def merge(
@@ -84,10 +86,10 @@ def merge_into(
     pieces, selection = _in_order(sources)
     compose(folder, pieces, repo_id, selection, progress)
     whole = selection is not None and selection.is_whole
-    columns = [source.own_columns for source in sources if "fingerprint" in source.own_columns.column_names]
-    fingerprints = {value for each in columns for value in each["fingerprint"].to_pylist()}
-    fingerprints.discard(None)  # of episodes that a robot recorded
-    return Merged(len(pieces), selection is not None, whole, tuple(sorted(fingerprints)))
+    columns = [source.own_columns for source in sources if "versions" in source.own_columns.column_names]
+    texts = {value for each in columns for value in each["versions"].to_pylist()}
+    texts.discard(None)  # of episodes that a robot recorded
+    return Merged(len(pieces), selection is not None, whole, mixed_versions(map(parse, texts)))
 
 
 def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:

@@ -183,14 +183,12 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
         hidden_state=parse(row.get("hidden_state") or "{}"),
         success=bool(row["success"]),
         key_frames=int(row["length"]) - 1,
-        tries=int(row["tries"]),
-        blocked_pulls=int(row["failed_tries"]),
-        wrong_turns=0,
-        key_moved=False,
-        first_part=None,
-        first_try_failed=False,
+        max_key_frames=int(row["length"]) - 1,
+        clipped_goals=0,
+        max_failed_tries=None,
+        poses="randomized",
         try_sequence=tries,
-        provenance=Provenance(str(row.get("fingerprint") or ""), "", "paper"),
+        provenance=Provenance(int(row.get("simulation_version") or 0), "", "paper"),
     )
 
 

@@ -51,14 +51,14 @@ class KeyframeEnvironment(Protocol):
     def joint_names(self) -> tuple[str, ...]:
         """Names of the object's joints, in the order of `labels`; the joint that opens comes first."""
 
-    def fingerprint(self) -> dict[str, str]:
-        """Returns part -> hash or name of all that episodes depend on; see `lerobot_adamanip.util.fingerprint`."""
+    def software_versions(self) -> dict[str, str]:
+        """Returns name -> version of all that episodes depend on; see `lerobot_adamanip.contract.versions`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden draw of this episode, JSON-able. Privileged."""
 
     def episode_record(self) -> dict[str, Any]:
-        """Returns the record of the episode, JSON-able."""
+        """Returns the record of the episode, JSON-able, with its ``try_sequence``; see `EpisodeRecord`."""
 
     def camera_parameters(self) -> dict[str, Any]:
         """Returns intrinsics and extrinsics of the front camera in this episode, JSON-able."""
@@ -72,6 +72,9 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Steps without an observation. Returns whether the task is done, and whether a limit is reached."""
+
+    def restart_episode(self) -> None:
+        """Starts counting key frames and tries in the present state, as at a reset."""
 
     def observe(self) -> Observation:
         """Returns the current observation."""

@@ -25,6 +25,7 @@ from lerobot_adamanip.evaluation.tries import (
     recovery,
     tried_locked_first,
     within_best_tries,
+    within_own_tries,
 )
 from lerobot_adamanip.util.json_fields import Check, integer, table
 
@@ -68,6 +69,10 @@ def _tries_of_successes(records: Records, tries: Callable[[EpisodeRecord], float
 
 def _within_best_tries(records: Records) -> Rate:
     return rate(sum(map(within_best_tries, records)), len(records))
+
+
+def _within_own_tries(records: Records) -> Rate:
+    return rate(sum(map(within_own_tries, records)), len(records))
 
 
 def _failed_tries(records: Records) -> Mean:
@@ -126,6 +131,7 @@ class Metrics:
     Attributes:
         success: success rate.
         within_best_tries: share of episodes opened with the failed tries that an optimal blind strategy needs at worst.
+        within_own_tries: the same with the failed tries that the episode's own hidden values make necessary at worst.
         wasted_tries: failed tries of the successes minus those of an optimal blind strategy. A negative value means
             that the policy succeeds where its guess is right and fails elsewhere.
         repeated: share of failed tries that the next try repeats unchanged.
@@ -143,6 +149,9 @@ class Metrics:
         Rate | None,
         Metric("opened within the best strategy's tries", _within_best_tries, Rate, by_objects=True, is_detail=False),
     ] = None
+    within_own_tries: Annotated[Rate | None, Metric("opened within the scene's own tries", _within_own_tries, Rate)] = (
+        None
+    )
     wasted_tries: Annotated[
         Mean | None, Metric("wasted tries", _wasted_tries, Mean, by_objects=True, is_detail=False)
     ] = None

@@ -2,35 +2,33 @@
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 from lerobot_adamanip import __version__
+from lerobot_adamanip.contract.versions import installed_versions
 from lerobot_adamanip.util import json_fields
-from lerobot_adamanip.util.fingerprint import versions
-
-EQUIVALENT = Path(__file__).with_name("equivalent_fingerprints.json")
-"""Table of code changes that change no result; extended by scripts/equivalent_fingerprint.py."""
 
 HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
 LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
 MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
 """Check of the value of `machine_class`."""
+VERSION_NUMBER = json_fields.integer(1, 10**6)
+"""Check of a simulation or data version."""
 _VERSION = json_fields.text(r"[0-9][0-9A-Za-z.+-]{0,30}", "a version")
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Code version behind a number.
+    """Software behind a number.
 
     Attributes:
         commit: of the repository; None outside one. ``changed``: whether tracked files differ from it.
-        version: of this package. ``versions``: of other packages that may affect results.
+        version: of this package. ``versions``: `lerobot_adamanip.contract.versions.installed_versions`.
     """
 
     commit: Annotated[str | None, json_fields.optional(HASH)]
@@ -42,7 +40,7 @@ class Origin:
 def present_origin() -> Origin:
     """Returns the origin of numbers that are measured now."""
     commit, changed = _commit()
-    return Origin(commit, changed, __version__, dict(versions()))
+    return Origin(commit, changed, __version__, dict(installed_versions()))
 
 
 def machine_class() -> dict[str, int | bool]:
@@ -56,20 +54,6 @@ def machine_text(machine: Mapping[str, int | bool]) -> str:
     """Returns a machine class in words: ``2 cores, no GPU``."""
     cores = machine["cores"]
     return f"{cores} {'core' if cores == 1 else 'cores'}, {'a GPU' if machine['gpu'] else 'no GPU'}"
-
-
-def equivalent_fingerprints(present: Collection[str], table: Path = EQUIVALENT) -> frozenset[str]:
-    """Returns the fingerprints, and all that ``table`` declares equivalent to them.
-
-    Args:
-        present: fingerprints of the present code.
-        table: rows of ``old`` and ``new``; the command ``shown_by`` gave equal bytes with both.
-    """
-    rows = json.loads(table.read_text(encoding="utf-8"))
-    found = set(present)
-    while more := {row["old"] for row in rows if row["new"] in found} - found:
-        found |= more
-    return frozenset(found)
 
 
 def _commit() -> tuple[str | None, bool]:

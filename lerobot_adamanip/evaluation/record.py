@@ -11,7 +11,7 @@ from typing import Any
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
 from lerobot_adamanip.contract.seeds import SPLITS
-from lerobot_adamanip.episode.options import from_stored, to_stored
+from lerobot_adamanip.episode.options import POSES, from_stored, to_stored
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
@@ -28,20 +28,22 @@ class Provenance:
     """Software and run behind an episode.
 
     Attributes:
-        fingerprint: hash of the code that affects episodes, see `lerobot_adamanip.util.fingerprint.combined`.
+        simulation_version: see `lerobot_adamanip.contract.versions.SIMULATION_VERSION`.
         version: of this package.
         mechanism_rules: rule set of the mechanisms, see `lerobot_adamanip.mechanisms`.
         run_id: shared by all environments of an evaluation; None outside one.
         run_label: label given by the user, for instance the policy's name; None without one.
         evaluation: index of the evaluation in its run, from 0. It grows when an environment repeats an episode.
+        versions: installed versions, see `lerobot_adamanip.contract.versions.installed_versions`.
     """
 
-    fingerprint: str
+    simulation_version: int
     version: str
     mechanism_rules: str
     run_id: str | None = None
     run_label: str | None = None
     evaluation: int = 0
+    versions: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raises an error for a label that a log cannot hold."""
@@ -55,7 +57,7 @@ class Provenance:
 class EpisodeRecord:
     """One episode, as logged by the environment. Privileged: it contains the hidden state.
 
-    A *try* is defined by `lerobot_adamanip.contract.keyframes.KeyFrameLabels`.
+    `lerobot_adamanip.episode.tries` defines a *try*.
 
     Attributes:
         seed: seed of object, poses and hidden state.
@@ -65,15 +67,13 @@ class EpisodeRecord:
         object_id: ``safe_007``.
         object_split: ``seen``, ``unseen`` or ``novel``; None for an external asset.
         hidden_state: sampled values, name -> value.
+        poses: preset of the poses.
         success: whether the object was opened.
         key_frames: number of steps.
-        tries: number of key frames that tried a joint.
-        blocked_pulls: failed tries at the opening joint (door, lid, button of a lamp).
-        wrong_turns: failed tries at the other joint (knob, button, cap, lever).
-        key_moved: whether a try moved that other joint.
-        first_part: name of the first part tried, or None.
-        first_try_failed: whether the first try failed.
+        max_key_frames: number of steps allowed.
+        clipped_goals: number of steps with a commanded position outside the arm's box.
         try_sequence: each try in order.
+        max_failed_tries: failed tries allowed; None without a limit.
         joints: name -> final position [rad or m].
         provenance: software and run.
     """
@@ -84,15 +84,13 @@ class EpisodeRecord:
     object_id: str
     object_split: str | None
     hidden_state: Mapping[str, HiddenValue]
+    poses: str
     success: bool
     key_frames: int
-    tries: int
-    blocked_pulls: int
-    wrong_turns: int
-    key_moved: bool
-    first_part: str | None
-    first_try_failed: bool
+    max_key_frames: int
+    clipped_goals: int
     try_sequence: tuple[TryMade, ...]
+    max_failed_tries: int | None
     joints: Mapping[str, float] = field(default_factory=dict)
     provenance: Provenance
 
@@ -108,6 +106,11 @@ class EpisodeRecord:
         return None if value is None else bool(value)
 
     @property
+    def key_moved(self) -> bool:
+        """Whether a try moved the joint that does not open (knob, button, cap, lever)."""
+        return any(joint > 0 and not failed for joint, _, failed in self.try_sequence)
+
+    @property
     def counted_tries(self) -> tuple[TryMade, ...]:
         """The tries, without pulls that stall after the part has given way: nothing is hidden there any more."""
         found, has_given_way = list[TryMade](), False
@@ -120,7 +123,7 @@ class EpisodeRecord:
     @property
     def failed_tries(self) -> int:
         """Number of failed ones among `counted_tries`."""
-        return self.blocked_pulls + self.wrong_turns - (len(self.try_sequence) - len(self.counted_tries))
+        return sum(failed for _, _, failed in self.counted_tries)
 
     @property
     def identity(self) -> tuple[object, ...]:
@@ -154,16 +157,6 @@ class EpisodeRecord:
 def _check_agreement(record: EpisodeRecord, category: str) -> None:
     if category != record.category:
         raise ValueError(f"'category' is {category!r}, but the object is {record.object_id!r}")
-    failed_in_all = record.blocked_pulls + record.wrong_turns
-    if failed_in_all > record.tries or record.tries > record.key_frames:
-        counts = f"{failed_in_all} failed, {record.tries} tries, {record.key_frames} key frames"
-        raise ValueError(f"its counts contradict each other: {counts}")
-    failed = [fails for _, _, fails in record.try_sequence]
-    if (len(failed), sum(failed)) != (record.tries, failed_in_all):
-        counts = f"{sum(failed)} of {len(failed)} failed, where {failed_in_all} of {record.tries} did"
-        raise ValueError(f"'try_sequence' contradicts its counts: {counts}")
-    if (record.first_part is None) != (record.tries == 0):
-        raise ValueError(f"'first_part' is {record.first_part!r} after {record.tries} tries")
 
 
 def _object_id(name: str, value: object) -> str:
@@ -207,19 +200,18 @@ _RECORD = json_fields.table(
         "hidden_state": _hidden_state,
         "success": json_fields.flag,
         "key_frames": _COUNT,
-        "tries": _COUNT,
-        "blocked_pulls": _COUNT,
-        "wrong_turns": _COUNT,
-        "key_moved": json_fields.flag,
-        "first_part": json_fields.optional(_TEXT),
-        "first_try_failed": json_fields.flag,
+        "max_key_frames": _COUNT,
+        "max_failed_tries": json_fields.optional(_COUNT),
+        "poses": json_fields.choice(POSES),
+        "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),
         "joints": json_fields.mapping(_TEXT, json_fields.number(-1e9, 1e9), 50),
-        "fingerprint": json_fields.text(r"[0-9a-f]{8,64}", "a hash"),
+        "simulation_version": json_fields.integer(1, 10**6),
         "version": _TEXT,
         "mechanism_preset": json_fields.choice(tuple(MECHANISM_RULES)),
         "run_id": json_fields.optional(_TEXT),
         "run_label": json_fields.optional(json_fields.text(LABEL, "a label")),
         "evaluation": _COUNT,
+        "versions": json_fields.mapping(_TEXT, _TEXT, 30),
     }
 )

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.evaluation.groups import (
     ALL,
     Boundaries,
@@ -20,7 +21,7 @@ from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.text_format import interval_text
 
-_MADE_BY = ("fingerprint", "version", "mechanism_rules")
+_MADE_BY = ("simulation_version", "version", "mechanism_rules")
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,9 @@ class EvaluationSummary:
         repeats: number of dropped records whose episode appears again later.
         groups: metrics of each group; `ALL` always exists and comes first.
         objects: success by object id.
-        made_by: ``fingerprint``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each if
-            evaluations were mixed.
+        made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each
+            if evaluations were mixed.
+        versions: installed versions by name; different ones are joined by ``and``.
     """
 
     episodes: int
@@ -41,6 +43,7 @@ class EvaluationSummary:
     groups: Mapping[Group, Metrics]
     objects: Mapping[str, Rate]
     made_by: Mapping[str, tuple[str, ...]]
+    versions: Mapping[str, str]
 
     @property
     def scenes(self) -> str:
@@ -68,7 +71,7 @@ class EvaluationSummary:
         }
         made_by = {f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()}
         told = {"scenes": self.scenes, "repeats": self.repeats, "groups": groups, "objects": objects}
-        return {**self.overall.to_json(), "episodes": self.episodes, **told, **made_by}
+        return {**self.overall.to_json(), "episodes": self.episodes, **told, **made_by, "installed": self.versions}
 
 
 def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
@@ -87,7 +90,8 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         repeats=len(records) - len(kept),
         groups={group: measure(chosen) for group, chosen in group_records(kept, boundaries).items()},
         objects={name: rate(sum(each), len(each)) for name, each in sorted(objects.items())},
-        made_by={name: tuple(sorted({getattr(each.provenance, name) for each in kept})) for name in _MADE_BY},
+        made_by={name: tuple(sorted({str(getattr(each.provenance, name)) for each in kept})) for name in _MADE_BY},
+        versions=joined_versions(each.provenance.versions for each in kept),
     )
 
 
@@ -200,14 +204,16 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
             yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
         if "train" in summary.scenes:
             yield f"{label}: scenes that demonstrations are recorded in are among these"
-        for name in ("fingerprint", "mechanism_rules"):
+        for name in ("simulation_version", "mechanism_rules"):
             if len(found := summary.made_by[name]) > 1:
                 yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
     for what, sets in (
-        ("fingerprints", [summary.made_by["fingerprint"] for summary in summaries.values()]),
+        ("simulation versions", [summary.made_by["simulation_version"] for summary in summaries.values()]),
         ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
         ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
     ):
         if len(set(sets)) > 1:
             told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
             yield f"not to be compared: {what} differ ({told})"
+    if mixed := mixed_versions(summary.versions for summary in summaries.values()):
+        yield f"measured with different versions installed: {mixed}"

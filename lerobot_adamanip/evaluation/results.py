@@ -13,9 +13,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION, joined_versions
 from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS, without_repeats
 from lerobot_adamanip.evaluation.metrics import Metrics, measure
-from lerobot_adamanip.evaluation.provenance import HASH, LINE, MACHINE, Origin, machine_class, present_origin
+from lerobot_adamanip.evaluation.provenance import LINE, MACHINE, VERSION_NUMBER, Origin, machine_class, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
@@ -69,7 +70,7 @@ class ResultFile(Origin):
         kind: one of `KINDS`.
         title: description in one line.
         command: measuring command, as typed in the repository's root.
-        fingerprint: of the code that affects episodes.
+        simulation_version: of the episodes.
         machine: ``cores`` and ``gpu``, without a name.
         scenes: split of the scenes. ``seeds``: the first and the last.
         seconds: duration; None if not measured.
@@ -79,7 +80,7 @@ class ResultFile(Origin):
     kind: Annotated[str, choice(KINDS)]
     title: Annotated[str, LINE]
     command: Annotated[str, text(r"[^\r\n`]{1,2000}", "one line without backquotes")]
-    fingerprint: Annotated[str, HASH]
+    simulation_version: Annotated[int, VERSION_NUMBER]
     machine: Annotated[Mapping[str, int | bool], MACHINE]
     scenes: Annotated[str | None, optional(choice(("test", "validation", "train")))]
     seeds: Annotated[tuple[int, int], listing(integer(0, 2**31), 2, 2)]
@@ -123,10 +124,11 @@ def make_result(
     kind: str,
     title: str,
     command: str,
-    fingerprint: str,
     seeds: Sequence[int],
     scenes: str | None,
     seconds: float | None = None,
+    simulation_version: int = SIMULATION_VERSION,
+    versions: Mapping[str, str] | None = None,
 ) -> ResultFile:
     """Returns a result with its origin and machine filled in.
 
@@ -135,17 +137,19 @@ def make_result(
         kind: one of `KINDS`.
         title: one line.
         command: as typed; raises `ConfigurationError` if it contains a local path.
-        fingerprint: `lerobot_env_adamanip.fingerprint.present_fingerprint()` for experts, otherwise from the log.
         seeds: seeds of the episodes.
         scenes: split of the scenes.
         seconds: duration.
+        simulation_version: of the episodes, if they were not simulated now.
+        versions: installed versions then.
     """
+    origin = asdict(present_origin())
     return ResultFile(
         kind=kind,
         title=title,
         command=check_command(command),
-        fingerprint=fingerprint,
-        **asdict(present_origin()),
+        simulation_version=simulation_version,
+        **(origin if versions is None else {**origin, "versions": versions}),
         machine=machine_class(),
         scenes=scenes,
         seeds=(min(seeds), max(seeds)),
@@ -163,19 +167,25 @@ def policy_result(rows: Iterable[ResultRow], records: Sequence[EpisodeRecord], *
         **given: ``title``, ``command`` and further arguments of `make_result`.
 
     Raises:
-        ConfigurationError: several fingerprints or scene splits are mixed, or the command cannot be published.
+        ConfigurationError: several simulation versions or scene splits are mixed, or the command cannot be published.
     """
-    made = sorted({(each.provenance.fingerprint, each.split) for each in records})
+    made = sorted({(each.provenance.simulation_version, each.split) for each in records})
     if len(made) > 1:
         raise ConfigurationError(
-            "A result file is of one code and one split of scenes.",
-            got="; ".join(f"fingerprint {fingerprint}, split {split}" for fingerprint, split in made),
-            allowed="episodes of one fingerprint and one split",
+            "A result file is of one simulation version and one split of scenes.",
+            got="; ".join(f"simulation version {version}, split {split}" for version, split in made),
+            allowed="episodes of one version and one split",
             hint="a new log, or a result file for each",
         )
-    ((fingerprint, split),) = made
-    seeds = [each.seed for each in records]
-    return make_result(rows, **{"kind": "policy", **given}, fingerprint=fingerprint, seeds=seeds, scenes=split)
+    ((version, split),) = made
+    return make_result(
+        rows,
+        **{"kind": "policy", **given},
+        seeds=[each.seed for each in records],
+        scenes=split,
+        simulation_version=version,
+        versions=joined_versions(each.provenance.versions for each in records),
+    )
 
 
 def write_result(path: Path, result: ResultFile) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from lerobot_adamanip.evaluation.groups import OBJECT_SPLITS
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
@@ -18,41 +18,31 @@ Generated from the files in `results/` by `python scripts/make_results.py`; a te
 [results.csv](results.csv) has all metrics of all rows, by split of objects and by hidden value;
 [metrics](metrics.md) defines them.
 
-The *fingerprint* is a hash of the simulation code, in tables of experts also of theirs. It does not cover policies:
-their code is that of the commit. The README shows numbers of the present fingerprint only. Brackets hold Wilson's 95 %
+Numbers of different *simulation versions* are of different episodes: do not compare them. Brackets hold Wilson's 95 %
 intervals of rates and, in tables of differences, paired 95 % intervals over scenes; means have none. Commands are those
 of the commit below each table, for a benchmark in its files `results/benchmark/SCALE/*.json`; later versions may spell
 them otherwise.
 """
-EARLIER = """## Measured with earlier code
-
-The present code may give other numbers. [results.csv](results.csv) has them.
-"""
-NOTHING = "No number is shown here: none has been measured with the present code yet."
+NOTHING = "No number is shown here: none has been measured yet."
 _TRIES = ("key_frames", "wasted_tries", "repeated", "failures")
 """Metrics of the second table, limited by the page width; the CSV contains all."""
 
 
-def results_page(results: Mapping[str, ResultFile], present: Container[str], benchmarks: Iterable[str] = ()) -> str:
+def results_page(results: Mapping[str, ResultFile], benchmarks: Iterable[str] = (), note: str = "") -> str:
     """Returns docs/results.md.
 
     Args:
-        results: by file name; those of earlier code are listed without their tables.
-        present: fingerprints of the present code, with and without experts.
+        results: by file name.
         benchmarks: Markdown of the benchmark's reports.
+        note: about the versions of all of them.
     """
-    current = {name: result for name, result in results.items() if result.fingerprint in present}
-    earlier = {name: result for name, result in results.items() if name not in current}
-    parts = [INTRODUCTION, *benchmarks]
-    if len(parts) == 1 and not current:
+    parts = [INTRODUCTION, *([f"{note}\n"] if note else []), *benchmarks]
+    if not results and len(parts) == 1:
         parts.append(f"{NOTHING}\n")
-    for name, result in current.items():
+    for name, result in results.items():
         parts.append(f"## {_heading(result)}\n")
         parts += [f"{table}\n" for table in (success_table(result), _tries(result)) if table]
         parts.append(f"{source_line(name, result)}\n")
-    if earlier:
-        lines = (f"- {_heading(result)}: {source_line(name, result)}" for name, result in earlier.items())
-        parts += [EARLIER, "\n".join(lines), ""]
     return "\n".join(parts)
 
 
@@ -61,17 +51,16 @@ def csv_rows(results: Mapping[str, ResultFile]) -> Iterator[tuple[dict[str, obje
     for name, result in results.items():
         for row in result.rows:
             labels = {each: value for each, value in vars(row).items() if each != "metrics"}
-            yield {"result": name, "fingerprint": result.fingerprint, **labels}, row.metrics
+            yield {"result": name, "simulation_version": result.simulation_version, **labels}, row.metrics
 
 
-def readme_block(results: Mapping[str, ResultFile], present: Container[str], tables: Iterable[str] = ()) -> str:
-    """Returns the README block with both markers: results of mechanism rules `paper` with the present fingerprint.
+def readme_block(results: Mapping[str, ResultFile], tables: Iterable[str] = (), note: str = "") -> str:
+    """Returns the README block with both markers: results of mechanism rules `paper`.
 
     Policy selection used the validation scenes, so the block omits them once test scenes have results. It also omits
-    experts once a policy has results. A single number gets no table. ``tables`` follow as they are.
+    experts once a policy has results. A single number gets no table. ``tables`` and ``note`` follow as they are.
     """
-    known = (result for result in results.values() if result.fingerprint in present)
-    fresh = [result for result in known if any(row.mechanism_rules == "paper" for row in result.rows)]
+    fresh = [result for result in results.values() if any(row.mechanism_rules == "paper" for row in result.rows)]
     fresh = [result for result in fresh if result.scenes != "validation"] or fresh
     by_kind = {kind: [result for result in fresh if result.kind == kind] for kind in ("policy", "expert")}
     parts = [START]
@@ -80,11 +69,8 @@ def readme_block(results: Mapping[str, ResultFile], present: Container[str], tab
         told = f" {result.rows[0].metrics.show('success')}" if single else f"\n\n{success_table(result)}"
         parts.append(f"{_heading(result)} ({_scenes(result)}):{told}\n")
     parts += [f"{table}\n" for table in tables]
-    parts.append(
-        "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
-        if len(parts) > 1
-        else NOTHING
-    )
+    sources = "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
+    parts.append(f"{note} {sources}".strip() if len(parts) > 1 else NOTHING)
     return "\n".join([*parts, END])
 
 
@@ -150,7 +136,7 @@ def source_line(name: str, result: ResultFile) -> str:
     commit = "no commit" if result.commit is None else f"commit {result.commit[:10]}"
     commit += " with changes" if result.changed else ""
     taken = "" if result.seconds is None else f", {duration_text(result.seconds)}"
-    made = f"{commit}, version {result.version}, fingerprint `{result.fingerprint}`"
+    made = f"{commit}, version {result.version}, simulation version {result.simulation_version}"
     scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
     return f"`{result.command}`; {made}; {scenes}; {machine_text(result.machine)}{taken}. From `results/{name}`."
 

@@ -78,13 +78,21 @@ def within_best_tries(record: EpisodeRecord) -> bool:
     return record.success and record.failed_tries <= _best_tries(record)[1]
 
 
+def within_own_tries(record: EpisodeRecord) -> bool:
+    """Returns whether an episode succeeded with the failed tries that its own hidden values make necessary at worst.
+
+    An unlocked object needs none. This is stricter than `within_best_tries`, where others of the category are locked.
+    """
+    return record.success and record.failed_tries <= (0 if record.locked is False else _best_tries(record)[1])
+
+
 def _best_tries(record: EpisodeRecord) -> tuple[float, int]:
     return best_tries(record.category, record.provenance.mechanism_rules, record.hidden_state)
 
 
 def tried_locked_first(record: EpisodeRecord) -> bool:
     """Returns whether the first try was a pull at a locked door."""
-    return bool(record.locked) and record.first_part == "handle" and record.first_try_failed
+    return bool(record.locked) and record.try_sequence[:1] == ((0, 1, True),)
 
 
 def recovery(records: Iterable[EpisodeRecord]) -> Recovery:

@@ -63,8 +63,7 @@ class Belief:
         """
         if labels.tried < 0:
             return self
-        sign = int(np.sign(labels.sent))
-        felt = FeltTry(joints[labels.tried], sign, dict(before), dict(after), labels.failed, stalled)
+        felt = FeltTry(joints[labels.tried], labels.direction, dict(before), dict(after), labels.failed, stalled)
         return replace(self, tries=(*self.tries, felt))
 
     def latest(self, joint: str) -> FeltTry | None:

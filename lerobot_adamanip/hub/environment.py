@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
+
+from packaging.version import Version
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.datasets.cards.collected import COLUMNS
 from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.model_index import results_table
 from lerobot_adamanip.mechanisms.table import RULES
 from lerobot_adamanip.util.errors import require_choice
-from lerobot_adamanip.util.fingerprint import combined
 
 _OBSERVED = {
     schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort",
@@ -24,29 +26,29 @@ _OBSERVED = {
 
 
 def environment_files(
-    repo_id: str, fingerprint: Mapping[str, str], *, category: str = ALL, results: Sequence[ResultFile] = ()
+    repo_id: str, *, category: str = ALL, results: Sequence[ResultFile] = (), commit: str = ""
 ) -> dict[str, str]:
     """Returns the files of an environment's repository: name -> text.
 
     Args:
         repo_id: repository name on the Hub.
-        fingerprint: part -> hash of the code that determines episodes.
         category: category that ``env.py`` opens; `ALL` for all nine. ``envs/`` has one file per category.
         results: results for the card.
+        commit: commit of this development version, if known.
 
     Raises:
         ConfigurationError: the category does not exist.
     """
     require_choice("category", category, (*CATEGORIES, ALL))
     return {
-        "env.py": _shim(repo_id, category),
-        **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name) for name in CATEGORIES},
-        "requirements.txt": f"lerobot_env_adamanip[sim]=={__version__}\n",
-        "README.md": _card(repo_id, fingerprint, category, results),
+        "env.py": _shim(repo_id, category, commit),
+        **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name, commit) for name in CATEGORIES},
+        "requirements.txt": f"{_requirement()}\n",
+        "README.md": _card(repo_id, category, results, commit),
     }
 
 
-def _card(repo_id: str, fingerprint: Mapping[str, str], category: str, results: Sequence[ResultFile]) -> str:
+def _card(repo_id: str, category: str, results: Sequence[ResultFile], commit: str) -> str:
     fields = {
         "license": LICENSE,
         "library_name": "lerobot",
@@ -67,19 +69,33 @@ def _card(repo_id: str, fingerprint: Mapping[str, str], category: str, results: 
             if key in _OBSERVED
         ),
         results=results_table(results),
-        fingerprint=combined(fingerprint),
-        fingerprint_table="\n".join(f"| {part} | `{value}` |" for part, value in sorted(fingerprint.items())),
+        simulation_version=SIMULATION_VERSION,
+        install=_install(commit),
         citation=citation(),
     )
 
 
-def _shim(repo_id: str, category: str) -> str:
-    return card_template("env.py").substitute(_names(repo_id, category))
+def _shim(repo_id: str, category: str, commit: str) -> str:
+    install = _install(commit).removeprefix("# ").replace("\n", ": ")
+    return card_template("env.py").substitute(_names(repo_id, category), install=install)
 
 
 def _names(repo_id: str, category: str) -> dict[str, str]:
     env_type = "adamanip" if category == ALL else f"adamanip_{category}"
     return {"title": _title(category), "repo_id": repo_id, "version": __version__, "env_type": env_type}
+
+
+def _install(commit: str) -> str:
+    """Returns the shell lines that install this version; a development version is on no package index."""
+    if not Version(__version__).is_devrelease:
+        return f"pip install '{_requirement()}'"
+    where = f" at commit {commit[:10]}" if commit else ""
+    return f"# {__version__} is no release: in a checkout of its repository{where}\npip install '.[sim]'"
+
+
+def _requirement() -> str:
+    """Returns the requirement of this version or, for a development version, also of the release that follows it."""
+    return f"lerobot_env_adamanip[sim]{'>=' if Version(__version__).is_devrelease else '=='}{__version__}"
 
 
 def _title(category: str) -> str:

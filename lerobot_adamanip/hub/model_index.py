@@ -32,7 +32,7 @@ def read_results(paths: Sequence[Path], command: str | None = None) -> list[Resu
 
     Raises:
         DatasetError: a file is neither a result file nor an episode log.
-        ConfigurationError: an episode log has no command, or mixes fingerprints or splits.
+        ConfigurationError: an episode log has no command, or mixes simulation versions or splits.
     """
     return [_result_of_log(path, command) if path.suffix == ".jsonl" else read_result(path) for path in paths]
 
@@ -73,7 +73,8 @@ def _table(result: ResultFile) -> str:
     return (
         f"{result.title} ({scenes}, {seeds}):\n\n{markdown_table(titles, rows)}\n\n"
         f"Command: `{result.command}`; commit {result.commit or 'of a released version'}; version {result.version}; "
-        f"fingerprint `{result.fingerprint}`. Options are spelled as there, and later code may give other numbers."
+        f"simulation version {result.simulation_version}. Options are spelled as there, and later code may give other "
+        "numbers."
     )
 
 
@@ -100,7 +101,7 @@ def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
                 "command": each.command,
                 "commit": each.commit,
             },
-            dataset_revision=each.fingerprint,
+            dataset_revision=f"simulation-version-{each.simulation_version}",
             metric_type="success_rate",
             metric_name=f"success rate ({row.subject})",
             metric_value=round(row.metrics.success.rate or 0.0, 4),

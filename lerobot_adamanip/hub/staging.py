@@ -154,13 +154,13 @@ def stage_model(
 def stage_environment(
     repo_id: str,
     into: Path,
-    fingerprint: Mapping[str, str],
     *,
     category: str = ALL,
     results: Sequence[ResultFile] = (),
+    commit: str = "",
 ) -> Staged:
     """Stages the environments' repository in an empty folder. Other arguments and errors: see `environment_files`."""
-    files = environment_files(repo_id, fingerprint, category=category, results=results)
+    files = environment_files(repo_id, category=category, results=results, commit=commit)
     (into / "envs").mkdir()
     for name, text in files.items():
         (into / name).write_text(text, encoding="utf-8")

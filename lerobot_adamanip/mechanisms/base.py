@@ -5,14 +5,11 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from lerobot_adamanip.util.errors import ConfigurationError
-
-if TYPE_CHECKING:  # importing torch takes seconds, and collecting does not draw
-    import torch
 
 type Positions = Mapping[str, float]
 """Joint name -> position [rad or m]."""
@@ -20,6 +17,13 @@ type Limits = tuple[float, float]
 """A joint may move in [lower, upper] [rad or m]."""
 Overrides = Mapping[str, bool | int | float]
 SHUT: Limits = (0.0, 0.0)
+
+
+class Draws(Protocol):
+    """Source of uniform random numbers: `numpy.random.Generator`, or `contract.seeds.BalancedDraws`."""
+
+    def random(self) -> float:
+        """Returns the next number in [0, 1)."""
 
 
 class Mechanism[StateT](ABC):
@@ -36,7 +40,7 @@ class Mechanism[StateT](ABC):
     hidden_names: tuple[str, ...]
     """Names of the hidden values, in overrides and results."""
 
-    def draw(self, generator: torch.Generator, overrides: Overrides | None = None) -> StateT:
+    def draw(self, generator: Draws, overrides: Overrides | None = None) -> StateT:
         """Draws the hidden state of a new episode.
 
         ``overrides`` fixes hidden values by name. The generator advances equally with and without them, so an override
@@ -49,7 +53,7 @@ class Mechanism[StateT](ABC):
         return self._draw(generator, overrides or {})
 
     @abstractmethod
-    def _draw(self, generator: torch.Generator, overrides: Overrides) -> StateT: ...
+    def _draw(self, generator: Draws, overrides: Overrides) -> StateT: ...
 
     @abstractmethod
     def step(self, state: StateT, positions: Positions) -> tuple[StateT, dict[str, Limits]]:
@@ -66,13 +70,6 @@ class Mechanism[StateT](ABC):
     def succeeded(self, positions: Positions) -> bool:
         """Returns whether a joint is beyond its goal, in the single precision of the simulator."""
         return any(bool(np.float32(abs(positions[joint])) > np.float32(goal)) for joint, goal in self.goals.items())
-
-
-def uniform(generator: torch.Generator) -> float:
-    """Draws a float64 in [0, 1)."""
-    import torch
-
-    return torch.rand(1, generator=generator, dtype=torch.float64).item()
 
 
 def overridden[ValueT: (bool, int, float)](
@@ -93,22 +90,22 @@ def overridden[ValueT: (bool, int, float)](
     return type(drawn)(value)
 
 
-def draw_locked(generator: torch.Generator, overrides: Overrides) -> bool:
+def draw_locked(generator: Draws, overrides: Overrides) -> bool:
     """Draws whether an episode starts locked (p = 1/2); override ``locked``."""
-    return overridden(uniform(generator) < 0.5, overrides, "locked", (False, True))
+    return overridden(generator.random() < 0.5, overrides, "locked", (False, True))
 
 
-def draw_direction(generator: torch.Generator, p_positive: float, overrides: Overrides) -> int:
+def draw_direction(generator: Draws, p_positive: float, overrides: Overrides) -> int:
     """Draws the direction in which a part turns, +1 or -1; override ``direction``."""
-    return overridden(1 if uniform(generator) < p_positive else -1, overrides, "direction", (-1, 1))
+    return overridden(1 if generator.random() < p_positive else -1, overrides, "direction", (-1, 1))
 
 
 def draw_range(
-    generator: torch.Generator, nominal: float, fractions: tuple[float, float], overrides: Overrides, name: str
+    generator: Draws, nominal: float, fractions: tuple[float, float], overrides: Overrides, name: str
 ) -> float:
     """Draws the range of a part [rad], uniform between two fractions of ``nominal``; override ``name``."""
     low, high = fractions
-    return overridden(float(nominal * (low + (high - low) * uniform(generator))), overrides, name)
+    return overridden(float(nominal * (low + (high - low) * generator.random())), overrides, name)
 
 
 def turn_limits(direction: int, turn_range: float) -> Limits:

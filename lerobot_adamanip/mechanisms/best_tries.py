@@ -6,16 +6,10 @@ from collections.abc import Collection
 
 from lerobot_adamanip.mechanisms.table import fixed_direction
 
-BEST_TRIES = {
-    "locked": (1.0, 1),
-    "direction": (0.5, 1),
-    "mode": (1.0, 2),
-    "turn_range": (0.0, 1),
-    "knob_range": (0.0, 1),
-}
+BEST_TRIES = {"locked": (1.0, 1), "direction": (0.5, 1), "mode": (1.0, 2)}
 """Hidden value -> failed tries of an optimal blind strategy, expected and at worst. It pulls at a locked door once,
 because that is cheaper than turning the key. It turns the wrong way half of the time, and tries three modes in
-sequence. How far a key turns is felt at its stop, where a turn may be cut short."""
+sequence. How far a key turns costs nothing: a turn to its stop is one try, which succeeds."""
 
 
 def best_tries(category: str, mechanism_rules: str, hidden: Collection[str]) -> tuple[float, int]:

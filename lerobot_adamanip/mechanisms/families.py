@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 from lerobot_adamanip.mechanisms.base import (
     SHUT,
+    Draws,
     Limits,
     Mechanism,
     Overrides,
@@ -20,11 +20,7 @@ from lerobot_adamanip.mechanisms.base import (
     overridden,
     range_words,
     turn_limits,
-    uniform,
 )
-
-if TYPE_CHECKING:
-    import torch
 
 TURN_RANGE = (0.5, 1.0)
 """An episode's range is uniform between these fractions of the object's (paper code)."""
@@ -66,7 +62,7 @@ class TurnToOpenMechanism(Mechanism[TurnToOpenState]):
         self._final_upper = check_positive("final_upper", final_upper)
         self._p_positive = p_positive
 
-    def _draw(self, generator: torch.Generator, overrides: Overrides) -> TurnToOpenState:
+    def _draw(self, generator: Draws, overrides: Overrides) -> TurnToOpenState:
         direction = draw_direction(generator, self._p_positive, overrides)
         turn_range = draw_range(generator, self._key_range, TURN_RANGE, overrides, "turn_range")
         return TurnToOpenState(direction, turn_range, free=False)
@@ -135,7 +131,7 @@ class SafeMechanism(Mechanism[SafeState]):
         self._knob_range = check_positive("knob_range", knob_range)
         self._p_positive, self._lock_on_turn = p_positive, lock_on_turn
 
-    def _draw(self, generator: torch.Generator, overrides: Overrides) -> SafeState:
+    def _draw(self, generator: Draws, overrides: Overrides) -> SafeState:
         locked = draw_locked(generator, overrides)
         direction = draw_direction(generator, self._p_positive, overrides)
         return SafeState(
@@ -190,7 +186,7 @@ class MicrowaveMechanism(Mechanism[MicrowaveState]):
         self._door_upper = check_positive("door_upper", door_upper)
         self._travel = check_positive("button_travel", button_travel)
 
-    def _draw(self, generator: torch.Generator, overrides: Overrides) -> MicrowaveState:
+    def _draw(self, generator: Draws, overrides: Overrides) -> MicrowaveState:
         locked = draw_locked(generator, overrides)
         return MicrowaveState(locked, not locked)
 
@@ -235,8 +231,8 @@ class LampMechanism(Mechanism[LampState]):
         self._push_upper = check_positive("push_upper", push_upper)
         self._turn_upper = check_positive("turn_upper", turn_upper)
 
-    def _draw(self, generator: torch.Generator, overrides: Overrides) -> LampState:
-        mode = min(int(uniform(generator) * 3), 2)
+    def _draw(self, generator: Draws, overrides: Overrides) -> LampState:
+        mode = min(int(generator.random() * 3), 2)
         return LampState(overridden(mode, overrides, "mode", (PUSH, ROTATE_POSITIVE, ROTATE_NEGATIVE)))
 
     def step(self, state: LampState, positions: Positions) -> tuple[LampState, dict[str, Limits]]:

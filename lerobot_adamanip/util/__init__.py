@@ -1,1 +1,1 @@
-"""Errors, files, JSON, worker processes and fingerprints; independent of robots."""
+"""Errors, files, JSON, worker processes; independent of robots."""

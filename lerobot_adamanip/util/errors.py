@@ -46,7 +46,9 @@ class RobotError(AdaManipError, RuntimeError):
 
 
 class UnreachableError(AdaManipError, RuntimeError):
-    """No layout or pose within the arm's reach."""
+    """No layout or pose within the arm's reach. ``is_certain``: for this object, every other seed fails too."""
+
+    is_certain = False
 
 
 @contextlib.contextmanager

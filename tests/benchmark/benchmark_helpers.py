@@ -10,20 +10,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from records import MADE, record
+from records import record
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import Declaration, parse_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.plan import Code
+from lerobot_adamanip.benchmark.plan import KeyVersions
 from lerobot_adamanip.benchmark.run import BenchmarkRun, CellState
 from lerobot_adamanip.evaluation.provenance import Origin
 
 FAKE = Path(__file__).with_name("fake_command.py")
 SCALE = "tiny"
 FAILED = 7
-CODE = Code("d" * 16, MADE.fingerprint, {"ours": "a" * 16, "ours_on_static": "a" * 16, "untrained": "b" * 16})
-ORIGIN = Origin("c" * 40, False, "0.2.0", {"python": "3.12.0"})
+VERSIONS = KeyVersions(policies={"untrained": "their-lab 1.0"})
+ORIGIN = Origin("c" * 40, False, "0.3.0", {"python": "3.12.0", "torch": "2.11.0"})
 
 
 def content() -> dict[str, Any]:
@@ -117,7 +117,7 @@ def templates() -> dict[str, list[dict[str, Any]]]:
 def benchmark(root: Path, runner: FakeRunner, declaration: Declaration | None = None, **changes: Any) -> BenchmarkRun:
     """The benchmark in the folder ``root``."""
     values: dict[str, Any] = {
-        "declaration": declaration or declared(), "scale": SCALE, "folder": BenchmarkFolder(root), "code": CODE,
+        "declaration": declaration or declared(), "scale": SCALE, "folder": BenchmarkFolder(root), "versions": VERSIONS,
         "origin": ORIGIN, "machine": {"cores": 2, "gpu": False}, "runner": runner,
     }  # fmt: skip
     return BenchmarkRun(**{**values, **changes})

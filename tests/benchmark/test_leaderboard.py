@@ -8,7 +8,7 @@ import json
 from typing import Any
 
 import pytest
-from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, declared, run_all
+from benchmark_helpers import SCALE, FakeRunner, benchmark, content, declared, run_all
 
 from lerobot_adamanip.benchmark import leaderboard
 from lerobot_adamanip.benchmark.cells import Cell
@@ -16,9 +16,10 @@ from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, parse_cell, read_cells
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
 
-PRESENT = {CODE.episodes}
+PRESENT = SIMULATION_VERSION
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +68,7 @@ def test_an_entry_by_the_rule_breaks_nothing(made: CellResult) -> None:
     [
         ({"changed": True}, "changes"),
         ({"commit": None}, "from none"),
-        ({"fingerprint": "e" * 16}, "another simulator"),
+        ({"simulation_version": 1}, "simulation version 1, not "),
         ({"scene_seeds": (700100, 700199)}, "scenes 700100 to 700199, not 700000"),
         ("--env.split=validation", "--env.split=validation, not test"),
         ("--seed=1", "--seed=1, not 700000"),

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import importlib
 import json
 from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmark_helpers import CODE, SCALE, content, declared, with_scale
+from benchmark_helpers import SCALE, VERSIONS, content, declared, with_scale
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
 from lerobot_adamanip.benchmark.command_options import evaluation_options, option
@@ -18,14 +17,14 @@ from lerobot_adamanip.benchmark.plan import (
     COLLECT,
     EVALUATE,
     TRAIN,
-    Code,
+    KeyVersions,
     Step,
     last_checkpoint,
     named_steps,
     options_key,
     plan,
 )
-from lerobot_adamanip.benchmark.policies import policy_hash
+from lerobot_adamanip.benchmark.policies import policy_package
 from lerobot_adamanip.catalog import parse_object_selection, seen_objects
 from lerobot_adamanip.cli.collect import Collect
 from lerobot_adamanip.cli.main import parse
@@ -42,8 +41,10 @@ def cell(method: str = "ours", objects: str = "seen", **changes: Any) -> Cell:
     return Cell(**{"method": method, "category": "safe", "objects": objects, "seed": 1000, **changes})
 
 
-def steps(declaration: Declaration | None = None, code: Code = CODE, which: Cell | None = None) -> dict[str, Step]:
-    found = plan(which or cell(), declaration or declared(), SCALE, code)
+def steps(
+    declaration: Declaration | None = None, versions: KeyVersions = VERSIONS, which: Cell | None = None
+) -> dict[str, Step]:
+    found = plan(which or cell(), declaration or declared(), SCALE, versions)
     return {step.kind: step for step in found.chain()}
 
 
@@ -105,7 +106,7 @@ def test_collecting_is_a_command_of_ours(name: str) -> None:
 
 
 def steps_of(declaration: Declaration, name: str) -> dict[str, Step]:
-    return {each.kind: each for each in plan(cell(name), declaration, "cpu", CODE).chain()}
+    return {each.kind: each for each in plan(cell(name), declaration, "cpu", VERSIONS).chain()}
 
 
 @pytest.mark.parametrize("name", ["sampling", "vat_mart", "adaafford", "act", "dp3_adaptive"])
@@ -156,8 +157,7 @@ def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     scale = {**content()["scales"][SCALE], "seeds": [1, 2], "evaluate": ["--seed=7", "--env.max_failed_tries=best"]}
     declaration = declared(methods=methods, scales={SCALE: scale})
     assert [each.seed for each in all_cells(declaration, SCALE) if each.method == "expert"] == [1, 1]
-    code = dataclasses.replace(CODE, policies={"expert": "e" * 16})
-    (test,) = plan(cell("expert"), declaration, SCALE, code).chain()
+    (test,) = plan(cell("expert"), declaration, SCALE, VERSIONS).chain()
     made = parse("expert", test.command[2:])
     assert (made.expert, made.trials, made.seed, made.episodes) == ("static", 2, 7, 5)
     assert str(made.episode_log.parent) == test.product
@@ -167,8 +167,6 @@ def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
         name: value for name, value in expert.items() if name != "--env.episode_log"
     }
     assert {"--env.type", "--env.objects", "--env.split", "--env.max_failed_tries", "--seed"} < expert.keys()
-    other = dataclasses.replace(CODE, policies={"expert": "f" * 16})
-    assert plan(cell("expert"), declaration, SCALE, other).key != test.key
 
 
 def test_demonstrations_are_counted_by_category_or_by_object() -> None:
@@ -201,7 +199,7 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
         {"corrections": 5, "steps": 4},
         {"corrections": 2, "steps": 3, "start": "trained"},
     ]
-    found = named_steps(plan(cell(), declared(methods=methods), SCALE, CODE))
+    found = named_steps(plan(cell(), declared(methods=methods), SCALE, VERSIONS))
     names = "collect train correct merge train_2 correct_2 merge_2 train_3 evaluate"
     assert list(found) == names.split()
     before = steps()
@@ -227,10 +225,10 @@ def test_one_policy_for_all_categories_trains_on_the_data_of_another_method() ->
     declaration = declared(
         methods=methods, scales={SCALE: {**content()["scales"][SCALE], "categories": ["safe", "door"]}}
     )
-    tested = {name: plan(cell("all", category=name), declaration, SCALE, CODE) for name in ("safe", "door")}
+    tested = {name: plan(cell("all", category=name), declaration, SCALE, VERSIONS) for name in ("safe", "door")}
     (training,) = {each.needs[0] for each in tested.values()}
     (merged,) = training.needs
-    each = [named_steps(plan(cell(category=name), declaration, SCALE, CODE))["merge"] for name in ("safe", "door")]
+    each = [named_steps(plan(cell(category=name), declaration, SCALE, VERSIONS))["merge"] for name in ("safe", "door")]
     assert merged.needs == tuple(each)
     assert option(training.command, "--steps") == "30"
     for name, test in tested.items():
@@ -312,25 +310,30 @@ def test_keys_follow_the_method(method: dict[str, Any], kinds: set[str]) -> None
 
 
 @pytest.mark.parametrize(
-    ("code", "kinds"),
+    ("versions", "kinds"),
     [
-        ({"demonstrations": "e" * 16}, EVERYTHING),
-        ({"policies": {**CODE.policies, "ours": "e" * 16}}, TRAINING),
-        ({"policies": {**CODE.policies, "untrained": "e" * 16}}, set()),
-        ({"episodes": "e" * 16}, TEST),
+        ({"simulation": 9}, EVERYTHING),
+        ({"data": 9}, EVERYTHING),
+        ({"policies": {**VERSIONS.policies, "ours": "their-lab 1.0"}}, TRAINING),
+        ({"policies": {"untrained": "their-lab 1.1"}}, set()),
     ],
     ids=in_order,
 )
-def test_keys_follow_the_code(code: dict[str, Any], kinds: set[str]) -> None:
-    assert changed_kinds(code=dataclasses.replace(CODE, **code)) == kinds
+def test_keys_follow_the_versions(versions: dict[str, Any], kinds: set[str]) -> None:
+    assert changed_kinds(versions=dataclasses.replace(VERSIONS, **versions)) == kinds
+
+
+def test_keys_of_policies_without_training_follow_all_versions() -> None:
+    before = keys(which=cell("untrained"))
+    for changes in ({"simulation": 9}, {"data": 9}, {"policies": {"untrained": "their-lab 1.1"}}):
+        other = dataclasses.replace(VERSIONS, **changes)
+        assert keys(which=cell("untrained"), versions=other) != before, changes
 
 
 def test_keys_follow_the_cell() -> None:
     assert changed_kinds(which=cell(seed=1001)) == TRAINING
     assert changed_kinds(which=cell(objects="unseen")) == TEST
     assert changed_kinds(which=cell(category="bottle")) == EVERYTHING
-    other = dataclasses.replace(CODE, policies={**CODE.policies, "untrained": "e" * 16})
-    assert keys(which=cell("untrained")) != keys(which=cell("untrained"), code=other), "it has no training to change"
 
 
 def test_the_curve_over_trials_shares_what_the_table_has() -> None:
@@ -344,35 +347,21 @@ def test_the_curve_over_trials_shares_what_the_table_has() -> None:
     assert three[COLLECT].key not in (table[COLLECT], none[COLLECT])
 
 
-def test_the_options_key_knows_no_code() -> None:
+def test_the_options_key_knows_no_versions() -> None:
     before = options_key(cell(), declared(), SCALE)
     assert before == options_key(cell(), declared(), SCALE)
     assert before != options_key(cell(), with_scale(steps=9), SCALE)
     assert before not in keys().values()
 
 
-# Code of policies -------------------------------------------------------------------------------------------------
+# Packages of policies ---------------------------------------------------------------------------------------------
 
 
-def test_a_policys_code_is_all_that_its_folder_imports_in_its_package(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    package = tmp_path / "their_policies"
-    imports = {
-        "mine/configuration.py": "class Config: ...",
-        "mine/model.py": "from their_policies.shared import depth",
-        "shared.py": "from their_policies.deep import depth",
-    }
-    for name in ("__init__.py", "deep.py", "mine/__init__.py", "other/model.py", *imports):
-        (package / name).parent.mkdir(parents=True, exist_ok=True)
-        (package / name).write_text(imports.get(name, "depth = 1") + "\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    config = importlib.import_module("their_policies.mine.configuration").Config
-    before = policy_hash(config)
-    for name in ("other/model.py", "__init__.py"):
-        (package / name).write_text("x = 2\n")
-        assert policy_hash(config) == before, name
-    for name in ("deep.py", "mine/model.py"):
-        (package / name).write_text("x = 3\n")
-        assert policy_hash(config) != before, name
-        before = policy_hash(config)
+def test_a_policy_of_others_has_the_version_of_its_package(monkeypatch: pytest.MonkeyPatch) -> None:
+    for module, package in (("lerobot.policies.act", ""), ("lerobot_policy_adamanip.dp3_adaptive", "")):
+        assert policy_package(type("Config", (), {"__module__": f"{module}.configuration"})) == package
+    theirs = type("Config", (), {"__module__": "their_policies.mine.configuration"})
+    assert policy_package(theirs) == "", "a module on the path belongs to no distribution"
+    monkeypatch.setattr("importlib.metadata.packages_distributions", lambda: {"their_policies": ["their-lab"]})
+    monkeypatch.setattr("importlib.metadata.version", lambda name: "1.0")
+    assert policy_package(theirs) == "their-lab 1.0"

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, content, declared, run_all
+from benchmark_helpers import SCALE, FakeRunner, benchmark, content, declared, run_all
 from PIL import Image
 
 from lerobot_adamanip.benchmark.declaration import Declaration
@@ -19,6 +19,7 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page, means_beside_paper, summary
 from lerobot_adamanip.benchmark.result import CellResult, StepDone, parse_cell, read_cell, read_cells, write_cell
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import rate
@@ -52,7 +53,7 @@ def cells(whole: Path, tmp_path: Path) -> Path:
 
 
 def report_of(cells: Path, **changes: Any) -> BenchmarkReport:
-    return make_report(read_cells(cells), wide(), SCALE, **{"present": {CODE.episodes}, **changes})
+    return make_report(read_cells(cells), wide(), SCALE, **changes)
 
 
 def rows_of(page: str, heading: str) -> dict[tuple[str, ...], list[str]]:
@@ -129,7 +130,7 @@ def test_means_stand_beside_the_papers_where_all_categories_have_results(cells: 
 
 def test_a_scale_can_stand_without_the_papers(cells: Path) -> None:
     scale = {**content()["scales"][SCALE], "note": "One object, learnt by heart.", "beside_paper": False}
-    report = make_report(read_cells(cells), declared(scales={SCALE: scale}, trials=TRIALS), SCALE, {CODE.episodes})
+    report = make_report(read_cells(cells), declared(scales={SCALE: scale}, trials=TRIALS), SCALE)
     page = benchmark_page(report)
     assert means_beside_paper(report) == ""
     assert "One object, learnt by heart. " in page
@@ -181,12 +182,9 @@ def test_trainings_and_scenes_that_both_have_are_compared(cells: Path) -> None:
     result = read_cell(path)
     step = result.steps["evaluate"]
     poses = StepDone(key=step.key, command=f"{step.command} --env.poses=fixed")
-    for changes in ({"scene_seeds": (0, 4)}, {"fingerprint": "e" * 16}, {"steps": {**result.steps, "evaluate": poses}}):
+    for changes in ({"scene_seeds": (0, 4)}, {"simulation_version": 1}, {"steps": {**result.steps, "evaluate": poses}}):
         write_cell(path, dataclasses.replace(result, **changes))
         assert report_of(cells).paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1") is None
-    write_cell(path, dataclasses.replace(result, fingerprint="e" * 16))
-    equal = report_of(cells, present={"e" * 16, result.fingerprint})
-    assert equal.paired(("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1") == gap
     for each in cells.iterdir():
         write_cell(each, dataclasses.replace(read_cell(each), outcomes=""))
     assert "In the same scenes" not in benchmark_page(report_of(cells))
@@ -233,7 +231,7 @@ def test_the_csv_has_every_number_with_its_metrics(cells: Path) -> None:
     found = report.entry("ours", "safe", "seen")
     assert found is not None
     assert (int(line["successes"]), int(line["episodes"])) == (found.numbers.success.count, 10)
-    assert (line["trainings"], line["fingerprint"]) == ("2", CODE.episodes)
+    assert (line["trainings"], line["simulation_version"]) == ("2", str(SIMULATION_VERSION))
     assert re.search(r"\blocked \d/\d.*unlocked \d/\d", line["hidden"])
     assert "knob_range" not in line["hidden"], "halves of a range are one evaluation's own"
     page = benchmark_page(report)
@@ -280,7 +278,7 @@ def test_what_cannot_be_run_is_marked_with_its_reason(cells: Path) -> None:
     assert "- Untrained cannot be run here: no policy 'luck' is installed" in page
 
 
-def test_other_code_and_other_options_are_marked(cells: Path) -> None:
+def test_other_versions_and_other_options_are_marked(cells: Path) -> None:
     path = cells / "ours-safe-seen-1.json"
     result = read_cell(path)
 
@@ -290,10 +288,17 @@ def test_other_code_and_other_options_are_marked(cells: Path) -> None:
         return by_category(page)["Ours, seen"]["safe"][-1], means_of(page)["Ours"][0][-1]
 
     assert marks(result) == ("0", "%")
-    assert marks(dataclasses.replace(result, fingerprint="e" * 16)) == ("†", "†")
-    page = benchmark_page(report_of(cells))
-    assert "measured with earlier code" in page
-    assert "Mind: several fingerprints" in page
+    for name in ("simulation_version", "data_version"):
+        assert marks(dataclasses.replace(result, **{name: 1})) == ("†", "†")
+        assert "of an earlier simulation or data version" in benchmark_page(report_of(cells))
+    marks(dataclasses.replace(result, simulation_version=1))
+    assert "Mind: several simulation versions" in benchmark_page(report_of(cells))
+    marks(dataclasses.replace(result, versions={**result.versions, "torch": "2.10.0"}))
+    assert "Mind: measured with different versions installed: torch 2.10.0 and 2.11.0." in benchmark_page(
+        report_of(cells)
+    )
+    assert marks(result)[0] == "0"
+    assert "Mind" not in benchmark_page(report_of(cells))
     assert marks(result, stale={result.cell}) == ("†", "†")
     assert marks(dataclasses.replace(result, options="e" * 16)) == ("‡", "‡")
 
@@ -318,7 +323,7 @@ def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
 
 
 def test_no_result_is_no_table(tmp_path: Path) -> None:
-    report = make_report([], wide(), SCALE, {CODE.episodes})
+    report = make_report([], wide(), SCALE)
     assert "0 results." in benchmark_page(report)
     assert "%]" not in benchmark_page(report)
     assert plot_report(report, tmp_path) == []
@@ -358,7 +363,7 @@ def spoiled(result: CellResult, path: str, value: Any) -> dict[str, Any]:
     ("path", "value"),
     [
         ("schema", 2), ("host", "machine"), ("cell/category", "teapot"), ("cell/seed", -1), ("numbers/successes", 900),
-        ("numbers/key_frames", {"3": 1000}), ("numbers/hidden", {"locked": [5, 3, 1]}), ("fingerprint", "new"),
+        ("numbers/key_frames", {"3": 1000}), ("numbers/hidden", {"locked": [5, 3, 1]}), ("simulation_version", "new"),
         ("steps", {}), ("steps/train/command", "lerobot-train --x=/home/me/y"), ("costs/train/machine", {"name": "x"}),
         ("title", "a | b"), ("commit", "main"), ("package", "x y"),
     ],

@@ -17,7 +17,8 @@ from typing import Any
 
 import pytest
 from benchmark_helpers import (
-    CODE,
+    ORIGIN,
+    VERSIONS,
     FakeRunner,
     benchmark,
     cells_of,
@@ -30,7 +31,7 @@ from benchmark_helpers import (
 
 from lerobot_adamanip.benchmark import run
 from lerobot_adamanip.benchmark.command import begin_command, end_command
-from lerobot_adamanip.benchmark.plan import Code, plan
+from lerobot_adamanip.benchmark.plan import plan
 from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
@@ -71,7 +72,9 @@ def test_a_result_says_what_made_it(tmp_path: Path) -> None:
     assert numbers.success.episodes == 5
     assert sum((numbers.key_frames or {}).values()) == numbers.success.count
     assert sum(each.episodes for name, each in (numbers.hidden or {}).items() if name.endswith("locked")) == 5
-    assert (found.fingerprint, found.commit) == (CODE.episodes, made.origin.commit)
+    assert (found.simulation_version, found.data_version) == (VERSIONS.simulation, VERSIONS.data)
+    assert found.commit == made.origin.commit
+    assert found.all_versions == made.origin.versions
     assert {cost.begun for cost in found.costs.values()} == {1}
     assert found.costs["train"].machine == {"cores": 2, "gpu": False}
     text = (tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json").read_text()
@@ -113,7 +116,7 @@ def test_a_step_that_takes_long_shows_the_end_of_its_log(tmp_path: Path, monkeyp
     said: list[str] = []
     made = benchmark(tmp_path / "out", FakeRunner(tmp_path, pause=0.02), say=said.append)
     made.folder.make()
-    first = plan(cells_of(made)[0], made.declaration, made.scale, made.code)
+    first = plan(cells_of(made)[0], made.declaration, made.scale, made.versions)
     made.folder.log(next(first.chain())).write_text("step 1\nstep 2\n\n")
     next(made.run(cells_of(made)))
     assert re.fullmatch(r"\[1/6\] \S+: evaluating, log: \S+", said[0])
@@ -237,15 +240,14 @@ def test_states_are_told_without_running(tmp_path: Path) -> None:
     assert runner.called == []
 
 
-def test_other_options_and_other_code_make_a_result_stale_and_it_is_made_again(tmp_path: Path) -> None:
+def test_other_options_and_another_data_version_make_a_result_stale_and_it_is_made_again(tmp_path: Path) -> None:
     runner = FakeRunner(tmp_path)
     run_all(benchmark(tmp_path / "out", runner))
-    for made in (
-        benchmark(tmp_path / "out", runner, with_scale(steps=9)),
-        benchmark(tmp_path / "out", runner, code=Code("e" * 16, CODE.episodes, CODE.policies)),
-    ):
-        states = [made.state(cell).state for cell in cells_of(made)]
-        assert states == ["done"] * 2 + ["stale"] * 4, "a policy without training has no such options"
+    made = benchmark(tmp_path / "out", runner, with_scale(steps=9))
+    states = [made.state(cell).state for cell in cells_of(made)]
+    assert states == ["done"] * 2 + ["stale"] * 4, "a policy without training has no such options"
+    made = benchmark(tmp_path / "out", runner, versions=dataclasses.replace(VERSIONS, data=9))
+    assert {made.state(cell).state for cell in cells_of(made)} == {"stale"}
     longer, before = benchmark(tmp_path / "out", runner, with_scale(steps=9)), len(runner.called)
     assert {each.state for each in run_all(longer)} == {"done"}
     again = runner.programs[before:]
@@ -272,12 +274,23 @@ def test_a_step_that_fails_is_tried_once_and_keeps_no_other_cell_from_running(tm
     assert {each.state for each in run_all(benchmark(tmp_path / "out", runner))} == {"done"}
 
 
-def test_a_log_of_other_code_or_too_few_episodes_is_no_result(tmp_path: Path) -> None:
+def test_an_update_of_a_package_is_told_and_repeats_nothing(tmp_path: Path) -> None:
     runner = FakeRunner(tmp_path)
-    changed = dataclasses.replace(CODE, episodes="f" * 16)
-    states = run_all(benchmark(tmp_path / "out", runner, code=changed))
+    run_all(benchmark(tmp_path / "out", runner))
+    before = len(runner.called)
+    newer = dataclasses.replace(ORIGIN, versions={**ORIGIN.versions, "torch": "2.12.0", "numpy": "2.0"})
+    states = run_all(benchmark(tmp_path / "out", runner, origin=newer))
+    told = "measured with other versions than installed: torch 2.11.0 and 2.12.0"
+    assert {(each.state, each.reason) for each in states} == {("done", told)}
+    assert len(runner.called) == before
+
+
+def test_a_log_of_another_version_or_too_few_episodes_is_no_result(tmp_path: Path) -> None:
+    runner = FakeRunner(tmp_path)
+    changed = dataclasses.replace(VERSIONS, simulation=99)
+    states = run_all(benchmark(tmp_path / "out", runner, versions=changed))
     assert {each.state for each in states} == {"failed"}
-    assert f"not 5, test scenes of the code {'f' * 16}" in states[0].reason
+    assert "not 5, test scenes of simulation version 99" in states[0].reason
     assert results(tmp_path / "out") == {}
     other = content()["methods"]
     other["untrained"]["evaluate"] = ["--env.split=validation"]

@@ -11,7 +11,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from benchmark_helpers import CODE, SCALE, FakeRunner, benchmark, declared
+from benchmark_helpers import SCALE, FakeRunner, benchmark, declared
 
 from lerobot_adamanip.benchmark.cells import select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
@@ -67,7 +67,7 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
     results = read_cells(made.folder.cells)
     assert "--policy.type=hold_still --policy.gripper=0.5" in results[0].steps["train"].command
     for known in (declaration, before):  # whoever reads the files need not have the package
-        page = benchmark_page(make_report(results, known, SCALE, {CODE.episodes}))
+        page = benchmark_page(make_report(results, known, SCALE))
         assert re.search(r"^\| Hold still \(lerobot_policy_hold_still\), seen \| [\d.]+ \|", page, re.MULTILINE)
 
 

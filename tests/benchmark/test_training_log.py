@@ -56,7 +56,7 @@ def test_the_budget_counts_what_a_method_was_given(tmp_path: Path) -> None:
         )
         for each in results
     ]
-    report = make_report(results, declaration, SCALE, ())
+    report = make_report(results, declaration, SCALE)
     assert mean_losses(report, "ours") == pytest.approx([1.0] * (LOGGED - 4) + [0.9] * 4), "of the loss at the start"
     assert mean_losses(report, "untrained") == []
     assert "losses.png" in {path.name for path in plot_report(report, tmp_path)}

@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 from benchmark_helpers import FakeRunner
-from records import MADE
 
 from lerobot_adamanip.benchmark.declaration import Method, read_declaration
 from lerobot_adamanip.benchmark.run import BenchmarkRun
@@ -35,7 +34,6 @@ def runner(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> FakeRunner:
     made = FakeRunner(tmp_path)
     monkeypatch.setattr(command, "BenchmarkRun", functools.partial(BenchmarkRun, runner=made))
     monkeypatch.setattr(command, "find_policies", policies)
-    monkeypatch.setattr("lerobot_env_adamanip.fingerprint.environment_fingerprint", lambda: MADE.fingerprint)
     monkeypatch.chdir(tmp_path)
     return made
 

@@ -12,6 +12,7 @@ from PIL import Image
 from records import record
 
 from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import read_result
 
@@ -128,18 +129,20 @@ def test_a_result_file_says_what_was_measured(
         ("static", rate(11, 20)),
     ]
     assert (result.rows[0].metrics.hidden or {})["locked"] == rate(9, 10)
-    assert result.fingerprint == "0123456789abcdef"
+    assert (result.simulation_version, result.versions) == (SIMULATION_VERSION, {"torch": "2.11.0"})
 
 
-def test_two_codes_are_compared_with_a_warning_and_give_no_result(
+def test_two_simulation_versions_are_compared_with_a_warning_and_give_no_result(
     logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     other, path = Path(logs[1]), tmp_path / "r.json"
-    other.write_text(other.read_text().replace("0123456789abcdef", "f" * 16))
+    other.write_text(
+        other.read_text().replace(f'"simulation_version": {SIMULATION_VERSION}', '"simulation_version": 1')
+    )
     assert cli.main(["report", *logs]) == 0
-    assert "Warning: not to be compared: fingerprints differ" in capsys.readouterr().out
+    assert "Warning: not to be compared: simulation versions differ" in capsys.readouterr().out
     assert cli.main(["report", *logs, "--out", str(path), "--command", "lerobot-eval"]) == 2
-    assert "one code" in capsys.readouterr().err
+    assert "one simulation version" in capsys.readouterr().err
     assert not path.exists()
 
 

@@ -15,6 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.contract.rotations import transform
+from lerobot_adamanip.contract.versions import software_versions
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import Belief
 from lerobot_adamanip.util import files
@@ -40,8 +41,8 @@ class FakeEnv:
         self.delay, self.crash, self.hopeless, self.code = delay, crash, hopeless, code
         self.annotations: Mapping[str, Any] = {}
 
-    def fingerprint(self) -> dict[str, str]:
-        return {"fake": "1", "code": self.code}
+    def software_versions(self) -> dict[str, str]:
+        return {**software_versions(), "code": self.code}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         wanted = options or {}
@@ -57,8 +58,11 @@ class FakeEnv:
         self.drawn, self.lid, self.opened = self.locked, 0.0, False
         self.pose = transform((0.3, 0.0, 0.2))
         self.feedback, self.labels = Feedback(self.pose, 1.0), KeyFrameLabels()
-        self.steps = 0
+        self.steps, self.tries = 0, list[list[int | bool]]()
         return self.observe(), {"is_success": False}
+
+    def restart_episode(self) -> None:
+        self.steps, self.tries, self.labels = 0, [], KeyFrameLabels()
 
     def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         opened, truncated = self.drive(action)
@@ -71,7 +75,8 @@ class FakeEnv:
         stalled = self.locked and pulls
         failed = self.labels.trial + self.labels.failed
         way = 0.0 if stalled else float(action[0]) - self.pose[0, 3]
-        self.labels = KeyFrameLabels(0, stalled, way, failed) if pulls else KeyFrameLabels(trial=failed)
+        self.labels = KeyFrameLabels(0, stalled, way, failed, 1) if pulls else KeyFrameLabels(trial=failed)
+        self.tries += [[0, 1, stalled]] if pulls else []
         if action[2] > 0.5:
             self.locked = False
         if not stalled:
@@ -103,7 +108,7 @@ class FakeEnv:
         return {"locked": self.drawn}
 
     def episode_record(self) -> dict[str, Any]:
-        return {"seed": self.seed, "object_id": self.object_id, "key_frames": self.steps}
+        return {"seed": self.seed, "object_id": self.object_id, "key_frames": self.steps, "try_sequence": self.tries}
 
     def camera_parameters(self) -> dict[str, Any]:
         x = 0.01 * (self.seed or 0)

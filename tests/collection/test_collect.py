@@ -166,7 +166,7 @@ def test_other_options_do_not_continue_a_collection(tmp_path: Path, refuses: Ref
     assert "expert = 'static'" in message
     assert "expert = 'adaptive'" in message
     message = refuses(DatasetError, lambda: collect(root, make_spec(), fakes(code="b")))
-    assert "another fingerprint: code differ" in message
+    assert "other versions: code differ" in message
 
 
 @here

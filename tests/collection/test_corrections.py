@@ -52,7 +52,9 @@ def driven(share: float, seed: int = 4) -> tuple[list[KeyFrame], demos_fake_env.
         known = {"positions": positions, "feedback": feedback, "belief": belief, "generator": generator}
         return demos_fake_env.make_expert("safe", "adaptive", {}, **known)
 
-    corrected_rollout(env, observation, Correcting(actor, take_over, share, seed), seen.append)
+    corrected_rollout(
+        env, observation, Correcting(actor, take_over, share, seed, np.random.default_rng(seed)), seen.append
+    )
     return seen, actor
 
 
@@ -104,12 +106,16 @@ def test_workers_and_interruptions_change_nothing(tmp_path: Path, mixed: Path) -
 
 def test_a_policys_history_is_what_was_executed_and_its_labels_are_the_corrections(mixed: Path) -> None:
     recorded = read_recorded_rows(open_dataset(mixed).meta)
-    place = recorded.rows(torch.tensor([2]))
-    (before, _), (ahead, _) = recorded.around(place, (-2, -1)), recorded.around(place, (0, 1))
     sent, corrections = rows(mixed, schema.EXECUTED), rows(mixed, schema.ACTION)
-    assert not np.allclose(sent[:2], corrections[:2])
-    np.testing.assert_array_equal(recorded.column(schema.EXECUTED, before)[0].numpy(), sent[:2].astype(np.float32))
-    np.testing.assert_array_equal(recorded.column(schema.ACTION, ahead)[0].numpy(), corrections[2:4].astype(np.float32))
+    differ = np.abs(sent - corrections).max(axis=1) > 1e-6
+    frame = rows(mixed, "frame_index")
+    inside = [row for row in range(2, len(sent) - 1) if frame[row] > 1 and frame[row + 1]]
+    now = next(row for row in inside if differ[row - 2 : row].any())
+    place = recorded.rows(torch.tensor([now]))
+    (before, _), (ahead, _) = recorded.around(place, (-2, -1)), recorded.around(place, (0, 1))
+    past, future = sent[now - 2 : now], corrections[now : now + 2]
+    for columns, key, expected in ((before, schema.EXECUTED, past), (ahead, schema.ACTION, future)):
+        np.testing.assert_array_equal(recorded.column(key, columns)[0].numpy(), expected.astype(np.float32))
 
 
 @pytest.mark.parametrize(

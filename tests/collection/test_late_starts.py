@@ -30,25 +30,25 @@ def late_seed(share: float = 0.5, start: int = 0) -> int:
             env.reset(seed=seed, options={"object_id": "safe_000"})
         except UnreachableError:
             continue
-        if draw_start(seed, share) is not None:
+        if draw_start(seed, "safe", share) is not None:
             return seed
     raise AssertionError("no seed starts late")
 
 
 def test_the_share_that_is_asked_for_starts_late_and_more_asked_for_only_adds() -> None:
     for share in (0.0, 0.15, 0.6, 1.0):
-        late = [seed for seed in range(2000) if draw_start(seed, share) is not None]
+        late = [seed for seed in range(2000) if draw_start(seed, "safe", share) is not None]
         assert len(late) / 2000 == pytest.approx(share, abs=0.03)
-        assert set(late) <= {seed for seed in range(2000) if draw_start(seed, 1.0) is not None}
+        assert set(late) <= {seed for seed in range(2000) if draw_start(seed, "safe", 1.0) is not None}
 
 
 def test_a_seed_is_a_start() -> None:
-    one, other = draw_start(7, 1.0), draw_start(7, 1.0)
+    one, other = draw_start(7, "safe", 1.0), draw_start(7, "safe", 1.0)
     assert one is not None
     assert other is not None
     np.testing.assert_array_equal(one.move, other.move)
     assert one.key_frames == other.key_frames
-    drawn = [start for seed in range(300) if (start := draw_start(seed, 1.0))]
+    drawn = [start for seed in range(300) if (start := draw_start(seed, "safe", 1.0))]
     assert {start.key_frames for start in drawn} == set(range(KEY_FRAMES[0], KEY_FRAMES[1] + 1))
     assert all(start.move[2, 3] < -0.04 for start in drawn)  # away from the part
     assert all(angle_between(start.move[:3, :3], np.eye(3)) < 0.6 for start in drawn)
@@ -58,7 +58,7 @@ def test_it_ends_with_open_fingers_away_from_the_part_and_short_of_success() -> 
     env = fakes().environment(make_spec().environment_of("safe"))
     assert isinstance(env, FakeEnv)
     seed = late_seed()
-    start = draw_start(seed, 1.0)
+    start = draw_start(seed, "safe", 1.0)
     assert start is not None
 
     def reset() -> object:
@@ -69,6 +69,7 @@ def test_it_ends_with_open_fingers_away_from_the_part_and_short_of_success() -> 
 
     _, actions = start_late(env, start, reset, expert)  # type: ignore[arg-type]
     assert not env.opened
+    assert (env.steps, env.tries, env.labels.trial) == (0, [], 0), "counting starts with the recording"
     assert (actions[-2:, GRIPPER_DIM] == 1.0).all()
     np.testing.assert_array_equal(actions[-2, :3], actions[-3, :3])  # the fingers open where they are
     assert np.linalg.norm(actions[-1, :3] - actions[-2, :3]) > 0.04
@@ -87,7 +88,7 @@ def test_what_is_recorded_begins_there_and_counts_from_there() -> None:
         assert attempt.late
         prefix = read_start(json.dumps(episode.record["start"]))
         assert len(episode) == attempt.key_frames + 1
-        assert episode.record["episode_record"]["key_frames"] == len(prefix) + attempt.key_frames
+        assert episode.record["episode_record"]["key_frames"] == attempt.key_frames
         np.testing.assert_allclose(episode.columns["observation.state"][0, :3], prefix[-1, :3], atol=1e-6)
         assert episode.columns["complementary_info.trial"][0, 0] == 0
 

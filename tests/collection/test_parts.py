@@ -72,7 +72,7 @@ def test_only_parts_of_this_collection_are_adopted(tmp_path: Path, refuses: Refu
 
     assert "Nothing was recorded" in refuses(DatasetError, adopting(tmp_path / "nowhere"))
     assert "seed = 5" in refuses(DatasetError, adopting(first, spec={"seed": 5}))
-    assert "fingerprint" in refuses(DatasetError, adopting(first, code="b"))
+    assert "other versions: code" in refuses(DatasetError, adopting(first, code="b"))
     episodes = CollectionPaths(second).episodes
     one, other = sorted(episodes.iterdir())[:2]
     one.write_bytes(other.read_bytes())  # an episode under another's name

@@ -99,9 +99,7 @@ def test_what_cannot_be_pictured_is_refused(tmp_path: Path, unpictured: Path, fi
     def changed(options: Any) -> Any:
         return demos_fake_env.make_env(options, code="b")
 
-    assert "another fingerprint: code" in refuses(
-        DatasetError, lambda: add_pictures(unpictured, tmp_path / "b", changed)
-    )
+    assert "other versions: code" in refuses(DatasetError, lambda: add_pictures(unpictured, tmp_path / "b", changed))
 
     class Elsewhere(demos_fake_env.FakeEnv):
         def camera_parameters(self) -> dict[str, Any]:

@@ -44,7 +44,6 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     columns = recorder.columns()
     assert result.success
     assert result.key_frames == 3
-    assert (recorder.tries, recorder.failed_tries) == (2, 1)
     np.testing.assert_array_equal(columns[schema.STATE][0], first["agent_pos"])
     np.testing.assert_array_equal(columns[schema.ACTION][1], UNLOCK.action())
     outcomes = [Outcome.STALLED, Outcome.REACHED, Outcome.REACHED, Outcome.REACHED]
@@ -82,14 +81,6 @@ def test_a_demonstration_goes_on_past_success_until_its_expert_ends() -> None:
         result = rollout(env, first, play(PULL, FARTHER, FARTHER), recorder.record, past_success=past)
         assert (result.success, result.key_frames, result.reason) == (True, key_frames, "success")
         assert len(recorder.columns()[schema.ACTION]) == key_frames + 1
-
-
-def test_failed_tries_from_before_the_recording_do_not_count() -> None:
-    env, first = ready(locked=True)
-    env.step(PULL.action())
-    recorder = EpisodeRecorder(env.joints, failed_before=1)
-    rollout(env, first, play(PULL, UNLOCK, PULL), recorder.record)
-    assert recorder.columns()[schema.TRIAL][:, 0].tolist() == [0, 1, 1, 1]
 
 
 def test_columns_have_the_shapes_and_types_of_the_contract() -> None:

@@ -31,7 +31,7 @@ def test_every_recorded_episode_happens_again_exactly(finished: Path) -> None:
         assert result.changed == ()
 
 
-def test_a_recording_of_other_code_is_compared_and_said_to_be_one(
+def test_a_recording_of_other_versions_is_compared_and_said_to_be_one(
     finished: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     result = replay(finished, 0, fakes(code="b").environment)
@@ -40,7 +40,7 @@ def test_a_recording_of_other_code_is_compared_and_said_to_be_one(
     monkeypatch.setattr(factory, "make_keyframe_env", fakes(code="b").environment)
     assert Replay(root=finished, episode=0).run() == 0
     printed = capsys.readouterr()
-    assert "Recorded under another fingerprint: code differ." in printed.out
+    assert "Recorded with other versions: code differ." in printed.out
     assert "key frames: " in printed.err  # progress without a terminal
 
 

@@ -98,7 +98,7 @@ DAMAGES = [
     Damage("seed of no place", to.edit_episode(5, slot=1), [("collection", META, 5, None)]),
     Damage("collection of another format", to.edit_json(COLLECTION, lambda it: it.update(format=99)),
            [("collection", COLLECTION, None, None)]),
-    Damage("another fingerprint", to.edit_episode(1, fingerprint="0" * 16), [("fingerprint", META, 1, None)]),
+    Damage("other versions", to.edit_episode(1, versions='{"torch": "1.0"}'), [("versions", META, 1, None)]),
     Damage("attempts lost", to.drop_line, [("attempts", ATTEMPTS, None, None)]),
     Damage("camera lost", to.remove(CAMERAS), [("cameras", CAMERAS, None, None)], mended=True),
     Damage("orphaned picture", to.leave(f"images/{schema.FRONT_IMAGE}/episode-000006/frame-000000.png"),

@@ -15,6 +15,7 @@ from demos_helpers import LATE, fakes, make_spec, patiently
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import read_manifest
@@ -22,7 +23,6 @@ from lerobot_adamanip.datasets.reading import episode_table, load_check, open_da
 from lerobot_adamanip.datasets.shards import RecordedEpisode
 from lerobot_adamanip.datasets.start_column import RESET
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.fingerprint import combined
 
 Refuses = Callable[[type, Callable[[], Any]], str]
 
@@ -72,7 +72,7 @@ def test_every_episode_ends_past_success_in_one_terminal_row(finished: Path) -> 
 
 def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> None:
     dataset = open_dataset(finished)
-    made_by = combined(read_manifest(manifest_path(finished)).fingerprint)
+    versions = read_manifest(manifest_path(finished)).versions
     seen, starts = set(), []
     for index in range(dataset.num_episodes):
         row = dataset.meta.episodes[index]
@@ -85,8 +85,9 @@ def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> Non
         assert row["expert"] == "adaptive"
         assert row["attempts"] == 1 + len(json.loads(row["failures"])) == row["attempt"] + 1
         assert json.loads(row["camera"])["cam_in_base"][0][3] == pytest.approx(0.01 * row["seed"])
-        assert "lerobot" in json.loads(row["versions"])
-        assert row["fingerprint"] == made_by
+        assert json.loads(row["versions"]) == {**versions, "cpu": cpu_model()}
+        assert {"lerobot", "torch", "python", "numpy", "gymnasium"} < versions.keys()
+        assert (row["simulation_version"], row["data_version"]) == (SIMULATION_VERSION, DATA_VERSION)
         seen.add((row["object_id"], row["slot"]))
     assert len(seen) == 6
     assert 0 < np.mean(starts) < 1

@@ -118,7 +118,7 @@ def test_columns_of_episodes_cameras_and_manifest_stay(whole: Path, tmp_path: Pa
     before, after = (episode_table(root) for root in (whole, tmp_path / "part"))
     assert before.column_names == after.column_names
     own = [name for name in Source.open(whole).own_columns.column_names if name != "episode_index"]
-    assert {"object_id", "seed", "hidden_state", "start", "camera", "fingerprint"} <= set(own)
+    assert {"object_id", "seed", "hidden_state", "start", "camera", "versions"} <= set(own)
     for name in own:
         assert after[name].type == before[name].type
         assert after[name].to_pylist() == [before[name][index].as_py() for index in (2, 4)], name
@@ -135,7 +135,7 @@ def test_datasets_come_one_after_another(finished: Path, tmp_path: Path, capsys:
     (copy / "meta" / "info.json").write_text(json.dumps(info))
     assert main(["merge", str(finished), str(copy), "--out", str(tmp_path / "both"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
-    assert (told["parts_of_one"], told["whole"], len(told["fingerprints"])) == (False, False, 1)
+    assert (told["parts_of_one"], told["whole"], told["mixed_versions"]) == (False, False, "")
     assert told["episodes"] == load_check(tmp_path / "both")["total_episodes"] == 12
     part, both = rows(finished), rows(tmp_path / "both")
     count = len(part["index"])
@@ -144,7 +144,7 @@ def test_datasets_come_one_after_another(finished: Path, tmp_path: Path, capsys:
         shift = {"index": count, "episode_index": 6}.get(name, 0)
         np.testing.assert_array_equal(both[name][:count], values, err_msg=name)
         np.testing.assert_array_equal(both[name][count:], values + shift if shift else values, err_msg=name)
-    kept = ["object_id", "seed", "hidden_state", "success", "start", "fingerprint"]
+    kept = ["object_id", "seed", "hidden_state", "success", "start", "versions"]
     one, two = (episode_table(root).select(kept).to_pylist() for root in (finished, tmp_path / "both"))
     assert two == 2 * one
     # What differs between them is told where they agree.

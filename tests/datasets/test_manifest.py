@@ -21,17 +21,17 @@ from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
-FINGERPRINT = {"mechanisms": "0" * 16, "renderer": "llvmpipe (LLVM 19.1.7, 256 bits)"}
+VERSIONS = {"simulation": "3", "torch": "2.11.0", "renderer": "llvmpipe (LLVM 19.1.7, 256 bits)"}
 
 
 def test_a_manifest_survives_the_disk(tmp_path: Path) -> None:
-    wanted = Manifest(make_spec(hidden_overrides={"locked": True, "angle": 0.5}, poses="fixed"), FINGERPRINT)
+    wanted = Manifest(make_spec(hidden_overrides={"locked": True, "angle": 0.5}, poses="fixed"), VERSIONS)
     write_manifest(tmp_path / "m", wanted)
     assert read_manifest(tmp_path / "m") == wanted
 
 
 def test_it_holds_no_path(tmp_path: Path) -> None:
-    text = json.dumps(Manifest(make_spec(), FINGERPRINT).to_json())
+    text = json.dumps(Manifest(make_spec(), VERSIONS).to_json())
     for word in ('assets": "', "/", "episode_log", "factory"):
         assert word not in text
 
@@ -43,12 +43,13 @@ def test_differences_are_named(tmp_path: Path, refuses: Refuses) -> None:
     require_same(stored, Manifest(make_spec()), tmp_path)
 
 
-def test_another_fingerprint_is_refused_and_its_parts_named(tmp_path: Path, refuses: Refuses) -> None:
-    stored = Manifest(make_spec(), FINGERPRINT)
-    for parts in ({**FINGERPRINT, "mechanisms": "1" * 16}, {"renderer": FINGERPRINT["renderer"]}):
-        wanted = Manifest(make_spec(), parts)
+def test_other_versions_are_refused_and_named(tmp_path: Path, refuses: Refuses) -> None:
+    stored = Manifest(make_spec(), VERSIONS)
+    without = {name: version for name, version in VERSIONS.items() if name != "torch"}
+    for name, versions in (("simulation", {**VERSIONS, "simulation": "4"}), ("torch", without)):
+        wanted = Manifest(make_spec(), versions)
         message = refuses(DatasetError, lambda wanted=wanted: require_same(stored, wanted, tmp_path))
-        assert "another fingerprint: mechanisms differ" in message
+        assert f"other versions: {name} differ" in message
 
 
 @pytest.fixture
@@ -112,12 +113,12 @@ HOSTILE: dict[str, Change] = {
     "too many episodes": put("collection", "episodes_per_object", value=10**8),
     "hidden values that are code": put("collection", "environment", "hidden_overrides", value={"__class__": CODE}),
     "nested values": put("collection", "trials", value=nested(500)),
-    "nested beyond measure": put("fingerprint", value="DEEP"),
+    "nested beyond measure": put("versions", value="DEEP"),
     "an unknown field": put("surprise", value=1),
-    "a missing field": lambda content: content.pop("fingerprint"),
-    "a format to come": put("format", value=3),
+    "a missing field": lambda content: content.pop("versions"),
+    "a format to come": put("format", value=4),
     "counts that are negative": put("attempts", value={"kept": -1, "attempted": 1, "given_up": 0}),
-    "a fingerprint with a new line": put("fingerprint", value={"a": "b\n# evil"}),
+    "a version with a new line": put("versions", value={"a": "b\n# evil"}),
 }
 TEXTS: dict[str, str | bytes] = {
     "nothing": "", "a list": "[]", "an empty object": "{}", "no JSON": "{'format': 2}", "binary": b"\x80\x04\x95\xff",
@@ -152,7 +153,7 @@ def refused(root: Path, canary: Path, refuses: Refuses) -> str:
 @pytest.fixture
 def manifest(tmp_path: Path) -> dict[str, Any]:
     """Content of a sound manifest."""
-    write_manifest(tmp_path / "sound", Manifest(make_spec(), FINGERPRINT))
+    write_manifest(tmp_path / "sound", Manifest(make_spec(), VERSIONS))
     return dict(json.loads((tmp_path / "sound").read_text()))
 
 

@@ -32,7 +32,7 @@ def tasks(envs: Callable[[str], KeyframeEnv]) -> Callable[[str], Any]:
 
     def get(category: str) -> Any:
         task = envs(category)._started()
-        task.holds_the_untried = True
+        task.holds_joints = True
         return task
 
     return get

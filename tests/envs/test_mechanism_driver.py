@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.mechanisms import make_mechanism
-from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver
+from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver, named_joints
 
 
 class FakeJoint:
@@ -41,64 +41,68 @@ def articulation() -> FakeArticulation:
     return FakeArticulation()
 
 
+BOTH = ("door", "knob")
+
+
 def driver(articulation: FakeArticulation, *, hold: bool = True, **hidden: Any) -> MechanismDriver:
     mechanism = make_mechanism(make_object("safe_000"))
-    state = mechanism.draw(torch.Generator().manual_seed(0), {"locked": True, "direction": 1, **hidden})
-    made = MechanismDriver(mechanism, state, articulation, hold=hold)
-    made.apply()
-    return made
+    state = mechanism.draw(np.random.default_rng(0), {"locked": True, "direction": 1, **hidden})
+    return MechanismDriver(mechanism, state, articulation, hold=hold)
 
 
-def test_limits_are_the_mechanisms_once_joints_are_tried(articulation: FakeArticulation) -> None:
+def test_limits_are_the_mechanisms_once_joints_are_released(articulation: FakeArticulation) -> None:
     made = driver(articulation, knob_range=1.0)
-    made.update(detent=False, tried={"door", "knob"})
+    made.apply(())
     assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.0, 1.0)}
     articulation.qpos = np.array([0.0, 0.9])
-    made.apply()
+    made.apply(())
     assert articulation.limits["door"][1] > 0.5
     assert made.joint_positions() == {"door": 0.0, "knob": 0.9}
 
 
 @pytest.mark.parametrize("locked", [True, False])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_what_nobody_has_tried_is_held_whatever_is_hidden(
-    articulation: FakeArticulation, locked: bool, direction: int
-) -> None:
+def test_a_held_joint_stays_whatever_is_hidden(articulation: FakeArticulation, locked: bool, direction: int) -> None:
     made = driver(articulation, locked=locked, direction=direction)
     for drift in (1e-4, 0.3):
         articulation.qpos = np.array([drift, -drift])
-        made.apply()
-        made.update(detent=False)
+        made.apply(BOTH)
         assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.0, 0.0)}
     assert [joint.writes for joint in articulation.active_joints] == [1, 1]
 
 
-def test_one_joint_is_tried_and_the_other_still_held(articulation: FakeArticulation) -> None:
+def test_one_joint_is_released_and_the_other_still_held(articulation: FakeArticulation) -> None:
     made = driver(articulation, locked=False, direction=-1, knob_range=1.0)
-    made.update(detent=False, tried={"knob"})
-    assert made.untried == {"door"}
+    made.apply({"door"})
+    assert made.held == {"door"}
     assert articulation.limits == {"door": (0.0, 0.0), "knob": (-1.0, 0.0)}
-    made.update(detent=False, tried={"door"})
+    made.apply(())
     assert articulation.limits["door"][1] > 0.5
 
 
-def test_a_detent_holds_what_has_been_tried_where_it_is(articulation: FakeArticulation) -> None:
+def test_a_joint_is_held_where_it_is(articulation: FakeArticulation) -> None:
     made = driver(articulation, knob_range=1.0)
-    made.update(detent=False, tried={"door", "knob"})
+    made.apply(())
     articulation.qpos = np.array([0.0, 0.3])
-    made.update(detent=True)
+    made.apply(BOTH)
     articulation.qpos = np.array([0.001, 0.31])
-    made.apply()
+    made.apply(BOTH)
     assert articulation.limits == {"door": (0.0, 0.0), "knob": (0.3, 0.3)}
-    made.update(detent=False)
+    made.apply({"door"})
     assert articulation.limits["knob"] == (0.0, 1.0)
 
 
 def test_limits_are_written_only_when_they_change(articulation: FakeArticulation) -> None:
     made = driver(articulation, hold=False)
     for _ in range(5):
-        made.apply()
+        made.apply(BOTH)
     assert [joint.writes for joint in articulation.active_joints] == [1, 1]
+
+
+def test_a_name_is_the_longest_that_fits() -> None:
+    joints = [SimpleNamespace(name=f"scene-0_box_{name}") for name in ("knob", "left_knob")]
+    found = named_joints(SimpleNamespace(active_joints=joints), ("knob", "left_knob"))
+    assert found == {"knob": joints[0], "left_knob": joints[1]}
 
 
 def test_success_is_a_joint_beyond_its_goal(articulation: FakeArticulation) -> None:

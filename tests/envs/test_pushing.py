@@ -38,9 +38,10 @@ def test_a_button_is_pushed_with_any_part_of_the_hand(
     at = task.placement.annotations["button"].grasp @ transform((0.0, beside, 0.0))
     go(task, at @ transform((0.0, 0.0, -PRE_GRASP)), 1.0)
     go(task, at @ transform((0.0, 0.0, -0.03)), gripper)
-    assert task.mechanism_driver.untried == {"door", "button"}
+    assert not task.tries.tries
     go(task, at @ transform((0.0, 0.0, 0.03)), gripper)
-    assert task.mechanism_driver.untried == {"door"}
+    (made,) = task.tries.tries
+    assert (task.mechanism.joints[made.joint], made.direction, made.failed) == ("button", 1, False)
     assert task.joint_positions()["button"] > 0.8 * task.obj.joint("button").limits[1]
     assert task.joint_positions()["door"] == pytest.approx(0.0, abs=1e-3)
 
@@ -56,10 +57,10 @@ def test_a_lever_is_turned_by_an_open_hand_and_by_one_that_closes_meanwhile(
     go(task, lever.grasp @ transform((0.0, 0.0, -PRE_GRASP)), 1.0)
     go(task, lever.grasp, 1.0)
     go(task, lever.grasp, grippers[0])
-    assert task.mechanism_driver.untried == set(task.mechanism.joints)
+    assert not task.tries.tries
     go(task, turn.applied(lever.grasp, 0.3), grippers[1])
     assert task.joint_positions()[part] > 0.1
-    assert part not in task.mechanism_driver.untried
+    assert {task.mechanism.joints[made.joint] for made in task.tries.tries} == {part}
 
 
 @pytest.mark.parametrize(("category", "part"), [("door", "lever"), ("window", "handle")])
@@ -72,6 +73,6 @@ def test_an_approach_that_grazes_or_hits_a_part_moves_and_tells_nothing(task: An
                 grasp = task.placement.annotations[part].grasp
                 go(task, grasp @ transform((0.0, begins, -PRE_GRASP)), 1.0)
                 go(task, grasp @ transform((0.0, beside, 0.0)), 1.0)
-                assert task.mechanism_driver.untried == set(task.mechanism.joints)
+                assert not task.tries.tries
                 ends.append(np.concatenate([task.arm_state().qpos, list(task.joint_positions().values())]))
             assert ends[0].tobytes() == ends[1].tobytes()

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.contract.rotations import rotation_about, transform
-from lerobot_env_adamanip.sim.contacts import PUSH_LAG, PUSH_TURN_LAG, HandTouch
+from lerobot_adamanip.episode.tries import Push
+from lerobot_env_adamanip.sim.contacts import PUSH_LAG, PUSH_TURN_LAG, ArmContacts
 
 STEP = 0.005
 AWAY = transform((0.0, 0.0, 0.0))
@@ -47,7 +48,7 @@ class Scene:
             links=[self.part], active_joints=[self.part.joint], get_qpos=lambda: np.array([0.0])
         )
         joint = SimpleNamespace(name="part", limits=(lower, 1.0))
-        self.touch = HandTouch(self, arm, target, SimpleNamespace(links=[SimpleNamespace(joint=joint)]))  # type: ignore[arg-type]
+        self.made = ArmContacts(self, arm, target, SimpleNamespace(links=[SimpleNamespace(joint=joint)]))  # type: ignore[arg-type]
 
     def get_contacts(self) -> list[Any]:
         return self.contacts
@@ -59,20 +60,31 @@ class Scene:
         point = SimpleNamespace(impulse=impulse, position=np.array(self.place))
         self.contacts = [SimpleNamespace(bodies=bodies, points=[point])]
 
-    def goes(self, *ways: Any, actual: Any = AWAY) -> set[str]:
-        """Sends the hand to one pose after the other; what it pushes at the last."""
-        found: set[str] = set()
+    def grip(self, force: float) -> None:
+        """Two fingers clamp the part, across its motion; PhysX reports no friction."""
+        self.press(0.0, force, 0.0)
+        self.contacts[0].points.append(
+            SimpleNamespace(impulse=np.array([0.0, -force * STEP, 0.0]), position=self.place)
+        )
+
+    def goes(self, *ways: Any, actual: Any = AWAY) -> Push | None:
+        """Sends the hand to one pose after the other; returns its push at the last."""
+        pushes: dict[str, Push] = {}
         for way in ways:
-            found = self.touch.pushed(way if np.ndim(way) == 2 else transform(way), actual)
-        return found
+            pushes = self.made.pushes(way if np.ndim(way) == 2 else transform(way), actual)
+        return pushes.get("part")
+
+
+def means(push: Push | None, direction: int = 1) -> bool:
+    return push is not None and push.is_meant and push.direction == direction
 
 
 @pytest.mark.parametrize("hand_first", [False, True])
 def test_a_hand_that_is_sent_on_where_the_part_moves_pushes_it(hand_first: bool) -> None:
     scene = Scene()
     scene.press(5.0, 0.0, 0.0, hand_first=hand_first)
-    assert scene.goes((0.0, 0.0, 0.0), (0.002, 0.0, 0.0)) == set()  # a touch
-    assert scene.goes((0.004, 0.0, 0.0)) == {"part"}
+    assert not means(scene.goes((0.0, 0.0, 0.0), (0.002, 0.0, 0.0)))  # a touch
+    assert means(scene.goes((0.004, 0.0, 0.0)))
 
 
 @pytest.mark.parametrize(
@@ -88,46 +100,56 @@ def test_a_hand_that_is_sent_on_where_the_part_moves_pushes_it(hand_first: bool)
 def test_what_is_no_push(force: tuple[float, ...], goal: tuple[float, ...]) -> None:
     scene = Scene()
     scene.press(*force)
-    assert scene.goes((0.0, 0.0, 0.0), goal) == set()
+    push = scene.goes((0.0, 0.0, 0.0), goal)
+    assert push is not None, "the hand touches the part"
+    assert not push.is_meant
+
+
+def test_a_hand_in_the_air_does_nothing() -> None:
+    assert Scene().goes((0.0, 0.0, 0.0), (0.010, 0.0, 0.0)) is None
 
 
 def test_a_part_is_pushed_down_as_far_as_its_range_goes() -> None:
     scene = Scene(lower=-0.5)
     scene.press(-5.0, 0.0, 0.0)
-    assert scene.goes((0.0, 0.0, 0.0), (-0.010, 0.0, 0.0)) == {"part"}
+    assert means(scene.goes((0.0, 0.0, 0.0), (-0.010, 0.0, 0.0)), -1)
+
+
+def test_a_gripped_part_is_pulled_by_the_lag_of_the_hand() -> None:
+    """Friction transmits the pull: no contact force along the motion is reported."""
+    scene = Scene()
+    scene.grip(40.0)
+    assert means(scene.goes((0.0, 0.0, 0.0), (0.010, 0.0, 0.0)))
+    scene.grip(0.4)
+    assert not means(scene.goes((0.0, 0.0, 0.0), (0.010, 0.0, 0.0)))
 
 
 def test_a_hand_that_slides_along_is_not_held_back() -> None:
     scene = Scene()
     scene.press(5.0, 0.0, 0.0)
     there = transform((0.010, 0.0, 0.0))
-    assert scene.goes((0.0, 0.0, 0.0), there, actual=transform((0.010 - 0.9 * PUSH_LAG, 0.0, 0.0))) == set()
+    assert not means(scene.goes((0.0, 0.0, 0.0), there, actual=transform((0.010 - 0.9 * PUSH_LAG, 0.0, 0.0))))
 
 
-def test_a_way_counts_from_the_touch_on() -> None:
+def test_a_hand_that_is_deflected_means_no_push() -> None:
+    """The fingers close beside the middle and shift the hand, whose target stands still."""
     scene = Scene()
-    scene.press(5.0, 0.0, 0.0)
-    assert scene.goes((0.0, 0.0, 0.0)) == set()
-    scene.contacts = []
-    assert scene.goes((0.004, 0.0, 0.0)) == set()
-    scene.press(5.0, 0.0, 0.0)
-    assert scene.goes((0.005, 0.0, 0.0), (0.007, 0.0, 0.0)) == set()
-    assert scene.goes((0.009, 0.0, 0.0)) == {"part"}
+    scene.grip(40.0)
+    assert not means(scene.goes((0.010, 0.0, 0.0), actual=transform((0.010, 0.0, 0.0))))
+    assert not means(scene.goes((0.010, 0.0, 0.0)))
 
 
 def test_a_part_turns_by_a_hand_that_turns_about_its_axis() -> None:
     scene = Scene("revolute", place=(0.0, 0.02, 0.0))  # 0.1 rad are 2 mm here
     scene.press(0.0, 0.0, 5.0)
-    turned = [transform((0.0, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), angle)) for angle in (0.0, 0.02, 0.1)]
-    assert scene.goes(turned[0], turned[1]) == set()
-    assert scene.goes(turned[2]) == {"part"}
+    turned = [transform((0.0, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), angle)) for angle in (0.0, 0.007, 0.1)]
+    assert not means(scene.goes(turned[0], turned[1]))
+    assert means(scene.goes(turned[2]))
     follows = transform((0.0, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), 0.1 - 0.9 * PUSH_TURN_LAG))
-    assert scene.goes(turned[2], actual=follows) == set()
+    assert not means(scene.goes(turned[2], actual=follows))
 
 
-def test_two_fingers_that_clamp_a_part_push_it_nowhere() -> None:
-    scene = Scene()
-    scene.press(40.0, 0.0, 0.0)
-    other = SimpleNamespace(impulse=np.array([-39.5 * STEP, 0.0, 0.0]), position=np.zeros(3))
-    scene.contacts[0].points.append(other)
-    assert scene.goes((0.0, 0.0, 0.0), (0.010, 0.0, 0.0)) == set()
+def test_a_hand_that_lifts_and_hardly_turns_does_not_turn() -> None:
+    scene = Scene("revolute", place=(0.0, 0.01, 0.0))
+    scene.grip(40.0)
+    assert not means(scene.goes(AWAY, transform((0.03, 0.0, 0.0), rotation_about((1.0, 0.0, 0.0), 0.02))))

@@ -48,7 +48,6 @@ def any_record(draw: st.DrawFn) -> EpisodeRecord:
         hidden_state=hidden,
         success=draw(st.booleans()),
         key_frames=draw(st.integers(8, 45)),
-        first_part=draw(st.sampled_from(["handle", "knob"])),
         blocked_pulls=draw(st.integers(0, 4)),
         key_moved=draw(st.booleans()),
         wrong_turns=draw(st.integers(0, 2)),
@@ -166,7 +165,7 @@ def test_the_best_strategy_wastes_nothing_and_each_further_try_one() -> None:
 
 @given(RECORDS)
 def test_failed_episodes_change_no_mean_of_tries(records: list[EpisodeRecord]) -> None:
-    idle = record(seed=99, locked=True, success=False, key_frames=45, tries=0, first_part=None)
+    idle = record(seed=99, locked=True, success=False, key_frames=45, try_sequence=())
     assert wasted(idle) is None
     for name in ("wasted_tries", "failed_tries", "failed_at"):
         assert measure([*records, idle]).show(name) == measure(records).show(name)
@@ -236,8 +235,11 @@ def test_what_must_not_be_mixed_or_compared_is_said() -> None:
     assert said(plain, plain) == ""
     assert "test and validation scenes are mixed" in said([*plain, record(seed=1_000_001)])
     assert "demonstrations are recorded in" in said([record(seed=2**24)])
-    assert "more than one fingerprint" in said([*plain, record(seed=3, fingerprint="ffffffffffffffff")])
-    assert "fingerprints differ" in said(plain, [record(fingerprint="ffffffffffffffff")])
+    assert "more than one simulation version" in said([*plain, record(seed=3, simulation_version=1)])
+    assert "simulation versions differ" in said(plain, [record(simulation_version=1)])
+    newer = record(seed=3, versions={"torch": "2.12.0", "numpy": "2.0"})
+    for groups in ([[*plain, newer]], [plain, [newer]]):
+        assert said(*groups) == "measured with different versions installed: torch 2.11.0 and 2.12.0"
     assert "mechanism rules differ" in said(plain, [record(mechanism_rules="upstream")])
     assert "splits of scenes differ" in said(plain, [record(seed=1_000_001)])
 

@@ -27,7 +27,7 @@ def test_records_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
     path = tmp_path / "logs" / "log.jsonl"
     records = [
         record(seed=7, locked=True),
-        record(object_id="lamp_003", success=False, run_id=None, tries=0, first_part=None),
+        record(object_id="lamp_003", success=False, run_id=None, try_sequence=()),
     ]
     for each in records:
         append_record(path, each)
@@ -62,11 +62,11 @@ def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Pa
 @pytest.mark.parametrize(
     "changes",
     [
-        {"success": "yes"}, {"blocked_pulls": True}, {"object_id": "spoon_001"}, {"object_id": 3}, {"seed": -1},
-        {"hidden_state": {"locked": 1}}, {"hidden_state": {"mode": "push"}}, {"hidden_state": []}, {"first_part": 3},
+        {"success": "yes"}, {"clipped_goals": True}, {"object_id": "spoon_001"}, {"object_id": 3}, {"seed": -1},
+        {"hidden_state": {"locked": 1}}, {"hidden_state": {"mode": "push"}}, {"hidden_state": []}, {"poses": 3},
         {"split": "holdout"}, {"object_split": "old"}, {"joints": {"door": "open"}}, {"joints": {"door": 1e999}},
-        {"category": "lamp"}, {"blocked_pulls": 9}, {"tries": 40}, {"first_part": None}, {"fingerprint": ""},
-        {"fingerprint": "x" * 1000}, {"run_id": 5}, {"evaluation": None}, {"colour": "red"},
+        {"category": "lamp"}, {"max_failed_tries": -1}, {"try_sequence": [[0, 1]]}, {"simulation_version": 0},
+        {"versions": {"torch": 2}}, {"run_id": 5}, {"evaluation": None}, {"colour": "red"},
     ],
     ids=str,
 )  # fmt: skip

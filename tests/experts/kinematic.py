@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -87,7 +86,7 @@ class KinematicWorld:
         self.obj = cached_object(name)
         self.parts = placed_parts(self.obj, layout)
         self.preset, self.mechanism = preset, make_mechanism(self.obj, preset)
-        self.state = self.mechanism.draw(torch.Generator().manual_seed(draw), hidden)
+        self.state = self.mechanism.draw(np.random.default_rng(draw), hidden)
         self.hidden = self.mechanism.hidden(self.state)
         self.joints = dict.fromkeys(self.mechanism.joints, 0.0)
         self.final, self.key = self.mechanism.joints

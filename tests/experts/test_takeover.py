@@ -232,7 +232,7 @@ def test_beliefs_of_tries() -> None:
     other = FeltTry("knob", 1, rest, rest, True)
     assert Belief((wrong, other)).blocked_ways("knob", 0.1) == {-1, 1}
     assert Belief((wrong, other)).way("knob", 0.1) == 0
-    labels = KeyFrameLabels(tried=1, failed=True, progress=0.0, trial=0, sent=-0.7)
+    labels = KeyFrameLabels(tried=1, failed=True, progress=0.0, trial=0, direction=-1)
     assert Belief().after(labels, ("door", "knob"), rest, rest, stalled=False) == Belief((wrong,))
     assert Belief().after(KeyFrameLabels(), ("door", "knob"), rest, rest, stalled=False) == Belief()
 

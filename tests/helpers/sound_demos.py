@@ -54,7 +54,7 @@ class SoundEnv(demos_fake_env.FakeEnv):
         return np.full((self.image_size, self.image_size, 3), colour, dtype=np.uint8)
 
     def episode_record(self) -> dict[str, Any]:
-        seed, failed = self.seed or 0, sum(fails for _, _, fails in self.tries)
+        seed = self.seed or 0
         return EpisodeRecord(
             seed=seed,
             given_seed=seed,
@@ -64,12 +64,10 @@ class SoundEnv(demos_fake_env.FakeEnv):
             hidden_state=self.hidden_state(),
             success=self.opened,
             key_frames=self.steps,
-            tries=len(self.tries),
-            blocked_pulls=failed,
-            wrong_turns=0,
-            key_moved=False,
-            first_part="handle" if self.tries else None,
-            first_try_failed=bool(self.tries and self.tries[0][2]),
+            max_key_frames=45,
+            clipped_goals=0,
+            max_failed_tries=None,
+            poses="randomized",
             try_sequence=tuple(self.tries),
             provenance=Provenance("0123456789abcdef", "0", "paper"),
         ).to_json()

@@ -69,7 +69,7 @@ def test_a_result_on_a_card_is_that_of_its_file(folder: Path) -> None:
     cell = dataclasses.replace(read_cell(path), commit="d" * 40, changed=False)
     write_cell(path, cell)
     made = publish.result_file(publish.results_of(folder, "ours", "safe", 1000)[0])
-    for name in ("commit", "fingerprint", "changed", "version", "scenes"):
+    for name in ("commit", "simulation_version", "versions", "changed", "version", "scenes"):
         assert getattr(made, name) == getattr(cell, name)
     assert (made.seeds, made.rows[0].metrics) == (cell.scene_seeds, cell.numbers)
 

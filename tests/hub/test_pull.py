@@ -56,7 +56,7 @@ def answers(done: Any) -> list[dict[str, Any]]:
 def environment_commit(api: HfApi, tmp_path: Path) -> str:
     """Publishes the environments."""
     (tmp_path / "env").mkdir()
-    return push(stage_environment(ENVIRONMENT, tmp_path / "env", {"simulator": "0" * 16}), api).commit
+    return push(stage_environment(ENVIRONMENT, tmp_path / "env"), api).commit
 
 
 @pytest.fixture
@@ -142,4 +142,5 @@ def test_without_the_package_the_environment_says_what_to_install(run: Any, tmp_
     (hidden / "lerobot_env_adamanip.py").write_text("raise ModuleNotFoundError('gone', name='lerobot_env_adamanip')")
     program = shutil.copy(HERE / "pull_program.py", hidden)  # a program's folder is looked into first
     (came,) = answers(run(str(program), asked({}, CALLS['make_env("USER/ENV", trust_remote_code=True)'])))
-    assert "pip install 'lerobot_env_adamanip[sim]==" in came["error"]
+    assert "pip install '" in came["error"]
+    assert "[sim]" in came["error"]

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import torch
+import numpy as np
 
 from lerobot_adamanip.mechanisms import (
     LampMechanism,
@@ -30,8 +30,8 @@ MECHANISMS: dict[str, Mechanism[Any]] = {
 Joints = Mapping[str, float]
 
 
-def generator(seed: int = 0) -> torch.Generator:
-    return torch.Generator().manual_seed(seed)
+def generator(seed: int = 0) -> np.random.Generator:
+    return np.random.default_rng(seed)
 
 
 def rest(mechanism: Mechanism[Any]) -> dict[str, float]:

@@ -8,10 +8,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import check_common
 import pytest
 from check_experts import BlindEnvironment, Episode, below, main, summarise
 
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import read_result
 
@@ -50,7 +50,7 @@ def test_every_cell_has_as_many_episodes_and_both_experts_meet_the_same(capsys: 
     assert met[0] == met[1]
     scenes = [(e.mechanism_rules, e.kind, e.object_id, e.seed) for e in fake.seen]
     assert len(set(scenes)) == len(scenes)
-    assert set(said) >= {"command", "commit", "fingerprint", "versions", "seeds", "results", "failures"}
+    assert set(said) >= {"command", "commit", "simulation_version", "versions", "seeds", "results", "failures"}
 
 
 def test_objects_are_run_wherever_they_belong(capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,7 +106,7 @@ def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
     assert main(["--category", "safe", "--splits", "seen,novel", "--episodes", "4", "--result", str(path)], Fake()) == 0
     result = read_result(path)
     assert result.command == "python scripts/check_experts.py --category safe"
-    assert result.fingerprint == check_common.present_fingerprint()
+    assert result.simulation_version == SIMULATION_VERSION
     cells = [("adaptive", "seen"), ("static", "seen"), ("adaptive", "novel"), ("static", "novel")]
     assert [(row.subject, row.objects) for row in result.rows] == cells
     assert all(row.metrics.hidden == {"locked": rate(2, 2), "unlocked": rate(2, 2)} for row in result.rows)

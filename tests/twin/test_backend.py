@@ -72,7 +72,7 @@ def test_key_frames_are_those_of_the_environment_to_the_bit(twin: SapienBackend)
             assert reading.outcome is env.feedback.outcome
             np.testing.assert_array_equal(reading.effort, env._running().effort)
             goal = expert.send(env.feedback)
-        assert twin.episode({})["blocked_pulls"] == env.episode_record()["blocked_pulls"] == 1
+        assert twin.episode({})["try_sequence"] == env.episode_record()["try_sequence"] == [[0, 1, True]]
     finally:
         env.close()
 

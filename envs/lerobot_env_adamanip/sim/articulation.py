@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_with_x_along
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Shape
+from lerobot_env_adamanip.sim.mechanism_driver import named_joints
 from lerobot_env_adamanip.sim.mesh_files import mesh_file
 
 FRICTION = 1.2
@@ -55,8 +56,9 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
 
 def _set_springs(articulation: Articulation, obj: ArticulatedObject) -> None:
     """Sets springs as drives towards their rest positions; keeps the joints' damping."""
-    for active in articulation._objs[0].active_joints:
-        joint = obj.joint(active.name.rsplit("_", 1)[-1])
+    names = [link.joint.name for link in obj.links if link.joint is not None]
+    for name, active in named_joints(articulation._objs[0], names).items():
+        joint = obj.joint(name)
         if joint.kind == "revolute" and joint.stiffness:
             # SAPIEN's builder sets the friction of joints to 0.05, at which a return spring stops before its rest.
             active.set_friction(0.0)

@@ -18,6 +18,26 @@ physics step. ManiSkill's 20 mm creates contacts with everything near the hand, 
 FREE_ITERATIONS = 4
 """Solver iterations of an arm without contacts. Iterations only harden contacts, and all cost the same, so more would
 bring nothing here."""
+GRIP_TICKS = 8
+"""Control ticks in which fingers settle around a part."""
+STAYING = 1e-3
+"""Maximum motion of joint targets in a control tick at which the arm stays [rad]."""
+VELOCITY_LAG = 0.1
+"""Time in which a drive of velocities would catch up with its lag [s]."""
+
+
+class Closing:
+    """Detects that fingers close around a part: their target falls, or fell `GRIP_TICKS` ago, and the arm stays."""
+
+    def __init__(self) -> None:
+        self._finger, self._arm, self._left = np.inf, np.zeros(NUM_ARM_JOINTS), 0
+
+    def update(self, arm: NDArray[np.float64], finger: float) -> bool:
+        """Advances by one control tick with joint targets (7,) [rad] and a finger target [m]."""
+        self._left = GRIP_TICKS if finger < self._finger < np.inf else max(0, self._left - 1)
+        stays = float(np.abs(arm - self._arm).max()) < STAYING
+        self._finger, self._arm = finger, arm
+        return stays and self._left > 0
 
 
 class ControlTick:
@@ -56,3 +76,22 @@ class ControlTick:
         if iterations != self._iterations:
             self._arm.set_solver_position_iterations(iterations)
             self._iterations = iterations
+
+
+def drive_targets(arm: sapien.physx.PhysxArticulation) -> NDArray[np.float64]:
+    """Returns the targets (7,) [rad] of an arm's drives. A drive of velocities is that far ahead of the arm."""
+    joints, qpos, qvel = arm.active_joints[:NUM_ARM_JOINTS], arm.get_qpos(), arm.get_qvel()
+    return np.array(
+        [
+            joint.drive_target[0]
+            if joint.stiffness
+            else qpos[k] + VELOCITY_LAG * (joint.drive_velocity_target[0] - qvel[k])
+            for k, joint in enumerate(joints)
+        ],
+        np.float64,
+    )
+
+
+def finger_target(arm: sapien.physx.PhysxArticulation) -> float:
+    """Returns the target of an arm's fingers [m]."""
+    return float(arm.active_joints[NUM_ARM_JOINTS].drive_target[0])

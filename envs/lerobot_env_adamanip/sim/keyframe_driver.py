@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +21,6 @@ FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
 """Finger targets [m]. The closed target is beyond contact, so that the fingers press on thin parts."""
 FINGER_HALF = 0.5 * (FINGER_OPEN + FINGER_CLOSED)
 """Finger target below which a hand counts as closed [m]."""
-MOVED_POSITION, MOVED_ROTATION = 0.003, 0.03
-"""Distance of a goal below which the hand does not move [m, rad]."""
-
-
 FOLDED = 1.5
 """Distance of a joint from rest at which the arm is folded and no straight line leads back [rad]."""
 PATH_TOLERANCE, LAST_TOLERANCE = 5e-4, 1e-4
@@ -72,9 +68,7 @@ class KeyframeDriver:
         self._target: Array = read().qpos.copy()
         self._finger = self._finger_target = FINGER_OPEN
         self._ticks = self._strained = 0
-        # Whether this key frame only closes the fingers, or moves a closed hand: see `MechanismDriver`.
-        self.closing = self.moving_closed = False
-        self._leans = False
+        self._leans = self._is_clipped = False
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self._feedback(None)
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
@@ -95,11 +89,6 @@ class KeyframeDriver:
             self._relax()
         finger_goal = self._finger_goal(gripper)
         gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
-        limits = self.limits
-        stays = self._is_near(goal, limits.reached_position, limits.reached_rotation)
-        self.closing = finger_goal < self._finger_target - 5e-3 and stays
-        was_closed = max(finger_goal, self._finger_target) < FINGER_HALF
-        self.moving_closed = was_closed and not self._is_near(goal, MOVED_POSITION, MOVED_ROTATION)
         self._finger_target = finger_goal
         outcome = self._follow(goal)
         if outcome is Outcome.UNREACHABLE and self._finger_target >= FINGER_HALF:
@@ -110,14 +99,8 @@ class KeyframeDriver:
         if outcome is not Outcome.REACHED and not self._leans:
             self._relax()
         self.effort = self._torque(self._read())
-        self.feedback = self._feedback(outcome)
-        self.closing = self.moving_closed = False
+        self.feedback = replace(self._feedback(outcome), is_clipped=self._is_clipped)
         return self.feedback
-
-    def _is_near(self, goal: Array, position: float, rotation: float) -> bool:
-        here = self.kinematics.tcp_in_base(self._target)
-        near = np.linalg.norm(goal[:3, 3] - here[:3, 3]) < position
-        return bool(near and angle_between(goal[:3, :3], here[:3, :3]) < rotation)
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
         array = np.asarray(action, dtype=np.float64)
@@ -128,7 +111,8 @@ class KeyframeDriver:
                 "Malformed action.", got=got, allowed=allowed, hint="lerobot_adamanip.contract.rotations.pose_vector"
             )
         goal, gripper = pose_from_vector(array)
-        goal[:3, 3] = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)
+        inside = np.clip(goal[:3, 3], self.limits.reach_lower, self.limits.reach_upper)
+        self._is_clipped, goal[:3, 3] = not np.array_equal(inside, goal[:3, 3]), inside
         return goal, float(np.clip(gripper, 0.0, 1.0))
 
     @staticmethod

@@ -11,12 +11,10 @@ from lerobot_adamanip.mechanisms import Limits, Mechanism
 class MechanismDriver:
     """Keeps an articulation within its mechanism's limits, and hides the mechanism until a try.
 
-    At reset every joint is *held*: its limits are closed around its position. This models the latch, detent or
-    friction of a real joint, and makes the simulator bit-identical under every hidden state. A try releases a joint for
-    the rest of the episode. There are two kinds of tries. A closed hand that touches a link on the joint is sent
-    elsewhere, or any hand is sent against it in its direction of motion (`HandTouch.pushed`). Until then nothing shows:
-    neither on the way to a part, nor at contact, nor while the fingers close. A *detent* also holds released joints
-    while a key frame only closes the fingers. They close unevenly, and would move a free joint before its next try.
+    A *held* joint has its limits closed around its position. This models the latch, detent or friction of a real joint,
+    and makes the simulator bit-identical under every hidden state. A joint is held while it is at rest and no try moves
+    it, see `TryTracker`: neither the way to a part, nor contact, nor a graze shows anything. All joints are held while
+    fingers close: they close unevenly, and would move a free joint before its next try.
 
     ``state`` is this episode's hidden state, ``articulation`` a `sapien.physx.PhysxArticulation`. Tests disable
     ``hold`` to show its effect.
@@ -24,32 +22,25 @@ class MechanismDriver:
 
     def __init__(self, mechanism: Mechanism[Any], state: Any, articulation: Any, *, hold: bool = True) -> None:
         self.mechanism, self.state = mechanism, state
-        self.detent = False
-        self._articulation = articulation
-        self._joints = {joint_name(joint): joint for joint in articulation.active_joints}
-        self._untried = set(mechanism.joints) if hold else set()
+        self._articulation, self._hold = articulation, hold
+        self._joints = named_joints(articulation, mechanism.joints)
         self._applied: dict[str, Limits] = {}
         self._held: dict[str, float] = {}
-
-    @property
-    def untried(self) -> frozenset[str]:
-        """Joints without a try so far."""
-        return frozenset(self._untried)
+        self.apply(mechanism.joints)
 
     def joint_positions(self) -> dict[str, float]:
         """Returns the object's joint positions [rad or m]."""
         return dict(zip(self._joints, self._articulation.get_qpos().tolist(), strict=True))
 
-    def update(self, *, detent: bool, tried: Collection[str] = ()) -> None:
-        """Releases tried joints and sets the detent; writes limits only if something changes."""
-        if detent != self.detent or not self._untried.isdisjoint(tried):
-            self._untried.difference_update(tried)
-            self.detent = detent
-            self.apply()
+    @property
+    def held(self) -> frozenset[str]:
+        """Joints that are held now."""
+        return frozenset(self._held)
 
-    def apply(self) -> None:
-        """Steps the mechanism and writes its limits, except for held joints."""
-        held = self.mechanism.joints if self.detent else self._untried
+    def apply(self, held: Collection[str]) -> None:
+        """Steps the mechanism and writes its limits, except for ``held`` joints, which stay where they are."""
+        if not self._hold:
+            held = ()
         if self._held.keys() == self._joints.keys() == set(held):
             return  # nothing has moved since, and nothing can
         positions = self.joint_positions()
@@ -70,6 +61,9 @@ class MechanismDriver:
         return self.mechanism.succeeded(self.joint_positions())
 
 
-def joint_name(joint: Any) -> str:
-    """Returns the mechanism's name of a joint, without ManiSkill's prefix of scene and object."""
-    return str(joint.name).rsplit("_", 1)[-1]
+def named_joints(articulation: Any, names: Collection[str]) -> dict[str, Any]:
+    """Returns name -> active joint of an articulation, in its order; ManiSkill prefixes names with scene and object."""
+    return {
+        max((name for name in names if f"_{joint.name}".endswith(f"_{name}")), key=len): joint
+        for joint in articulation.active_joints
+    }

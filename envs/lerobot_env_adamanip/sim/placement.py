@@ -137,7 +137,10 @@ class Stand:
         """Samples poses around this placement until the arm can hold and move every part.
 
         If all ``tries`` samples fail, raises `UnreachableError` if ``must_reach``; otherwise returns the last sample.
+        Fixed poses have one sample.
         """
+        is_fixed = spread == RANDOMIZATIONS["fixed"]
+        tries = 1 if is_fixed else tries
         for _ in range(tries):
             pose = _drawn_pose(rng, spread, self.x, self.y, self.floor_z)
             start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
@@ -145,12 +148,14 @@ class Stand:
                 return Placement(pose, start, annotations)
         if not must_reach:
             return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
-        raise UnreachableError(
+        error = UnreachableError(
             f"{obj.object_id} cannot be placed where the arm reaches its parts.",
             got=f"{tries} draws around x = {self.x:.2f} m, floor at {self.floor_z:.2f} m",
             allowed="every part within reach, on the way to it, held and turned",
-            hint="--env.poses=fixed, or another object",
+            hint="another object" if is_fixed else "--env.poses=fixed, or another object",
         )
+        error.is_certain = is_fixed
+        raise error
 
 
 def generated_stand(

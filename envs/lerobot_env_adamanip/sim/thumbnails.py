@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.articulation import build_object
+from lerobot_env_adamanip.sim.mechanism_driver import named_joints
 from lerobot_env_adamanip.sim.renderer import empty_scene
 
 FIELD_OF_VIEW = np.deg2rad(26)
@@ -47,8 +48,9 @@ def render_thumbnail(obj: ArticulatedObject, *, size: int = 256, open_fraction: 
 
 def _posture(obj: ArticulatedObject, articulation: Any, open_fraction: float) -> NDArray[np.float32]:
     positions = []
-    for active in articulation.active_joints:
-        joint = obj.joint(active.name.rsplit("_", 1)[-1])
+    names = [link.joint.name for link in obj.links if link.joint is not None]
+    for name in named_joints(articulation, names):
+        joint = obj.joint(name)
         lower, upper = joint.limits
         # A joint that moves both ways from rest is a knob; one that rests at its limit opens.
         positions.append(open_fraction * upper if lower == 0.0 else 0.0)

@@ -12,6 +12,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import (
     SUCCESS,
     AttemptRecord,
@@ -26,7 +27,6 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.reading import episode_records, read_info
 from lerobot_adamanip.datasets.selection import Selection, read_selection, selection_path
-from lerobot_adamanip.util.fingerprint import combined
 
 COLUMNS = {
     schema.POINT_CLOUD: "m; x, y, z of each point, farthest first, so any prefix is itself a farthest-point sample",
@@ -116,9 +116,6 @@ def _made(
     """Returns the fields about how the dataset was made."""
     categories = list(dict.fromkeys(category_of(record["object_id"]) for record in records))
     together = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
-    found = Counter(str(record["fingerprint"]) for record in records)
-    of_episodes = {f"of {count} episodes": value for value, count in found.items()}
-    parts = of_episodes if manifest is None else manifest.fingerprint
     made = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
     if manifest is not None:
         made = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
@@ -132,8 +129,6 @@ def _made(
         "env_type": "adamanip" if together else f"adamanip_{categories[0]}",
         "expert": "/".join(sorted({str(record["expert"]) for record in records})),
         "made": made,
-        "fingerprint": ", ".join(parts.values()) if manifest is None else combined(manifest.fingerprint),
-        "fingerprint_table": "\n".join(f"| {part} | `{value}` |" for part, value in sorted(parts.items())),
     }
 
 
@@ -162,7 +157,8 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
     tries = Counter(record["failed_tries"] for record in records)
     opened = Counter(record["failed_tries"] for record in records if record["success"])
     kept = {0: "Only episodes that failed are in it", len(records): "Only episodes that ended in success are in it"}
-    versions = (pair for record in records for pair in record["versions"].items())
+    versions = [record["versions"] for record in records]
+    mixed = mixed_versions({**each, "cpu": ""} for each in versions)
     return {
         "split": "" if successes else ", failed episodes",
         "kept": kept.get(successes, f"{successes} of its episodes ended in success"),
@@ -170,7 +166,8 @@ def _recorded(records: list[dict[str, Any]]) -> dict[str, object]:
         "late": sum(record["late"] for record in records),
         "recovered": sum(count for failed, count in opened.items() if failed),
         "trial_table": "\n".join(f"| {failed} | {tries[failed]} | {opened[failed]} |" for failed in sorted(tries)),
-        "versions": ", ".join(dict.fromkeys(f"{name} {version}" for name, version in sorted(versions))),
+        "versions": ", ".join(f"{name} {version}" for name, version in sorted(joined_versions(versions).items())),
+        "mixed": f" Mind: its episodes were recorded with different versions: {mixed}." if mixed else "",
     }
 
 

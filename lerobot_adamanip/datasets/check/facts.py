@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from lerobot_adamanip.assets import is_asset_id, parse_asset_id
 from lerobot_adamanip.catalog import category_of, parse_object_id
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.check.layout import ATTEMPTS, Layout
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec, episode_seed, manifest_path
-from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
+from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, are_same_versions, read_manifest
 from lerobot_adamanip.datasets.reading import JSON_COLUMNS
 from lerobot_adamanip.datasets.start_column import read_start
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_adamanip.util.fingerprint import combined
 from lerobot_adamanip.util.json_fields import flag, integer, mapping, optional, parse, read, text
 
 COLLECTION = "meta/collection.json"
@@ -40,11 +40,11 @@ class Collected:
 
     Attributes:
         manifest: None if the folder of its external assets is unknown.
-        fingerprint: part -> hash or name.
+        versions: name -> version of the software.
     """
 
     manifest: Manifest | None
-    fingerprint: Mapping[str, str]
+    versions: Mapping[str, str]
 
 
 def read_collection(root: Path, assets: Path | None, report: Report) -> Collected | None:
@@ -56,7 +56,7 @@ def read_collection(root: Path, assets: Path | None, report: Report) -> Collecte
         content = read(path)
         external = isinstance(content, dict) and bool(content.get("external_assets"))
         if external and assets is None:
-            return Collected(None, dict(content["fingerprint"]))
+            return Collected(None, dict(content["versions"]))
         manifest = read_manifest(path, assets if external else None)
     except AdaManipError as error:
         cause = "" if error.__cause__ is None else f" {error.__cause__}"[:200]
@@ -64,7 +64,7 @@ def read_collection(root: Path, assets: Path | None, report: Report) -> Collecte
     except (OSError, ValueError, KeyError, TypeError) as error:
         report.add("unreadable", str(error)[:200], COLLECTION)
     else:
-        return Collected(manifest, manifest.fingerprint)
+        return Collected(manifest, manifest.versions)
     return None
 
 
@@ -163,10 +163,12 @@ def _check_row(row: Row) -> None:
 
 
 def _check_place(row: Row, collected: Collected, report: Report) -> None:
-    """Checks an episode's fingerprint, object and seed against its collection."""
-    place, fingerprint = (row["listed_in"], row["episode_index"]), combined(collected.fingerprint)
-    if row.get("fingerprint", fingerprint) != fingerprint:
-        report.add("fingerprint", f"{row['fingerprint']}, not the collection's {fingerprint}", *place)
+    """Checks an episode's versions, object and seed against its collection."""
+    place = row["listed_in"], row["episode_index"]
+    versions = parse(row["versions"]) if "versions" in row else collected.versions
+    if not are_same_versions(versions, collected.versions):
+        mixed = mixed_versions([versions, collected.versions]) if isinstance(versions, dict) else "no versions"
+        report.add("versions", f"not the collection's: {mixed or 'some are missing'}"[:200], *place)
     if collected.manifest is None:
         return
     spec: CollectionSpec = collected.manifest.spec

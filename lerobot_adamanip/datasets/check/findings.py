@@ -66,7 +66,7 @@ KINDS: Mapping[str, Kind] = {
     ),
     "facts": Kind("an episode's columns (object, hidden state, tries ...) are invalid, or contradict its rows", _NO),
     "collection": Kind("`meta/collection.json` is invalid, or an episode does not belong to that collection", _NO),
-    "fingerprint": Kind("an episode's fingerprint differs from its collection's", _NO),
+    "versions": Kind("an episode's software versions differ from its collection's", _NO),
     "attempts": Kind("`meta/attempts.jsonl` has lost lines", _NO),
     "replay": Kind("the simulator does not reproduce the recording (`--replay`)", _NO),
 }

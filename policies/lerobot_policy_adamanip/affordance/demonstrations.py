@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import OPEN_HAND
-from lerobot_adamanip.episode.contact_labels import CLOSED
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND
 from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_columns
 
 MIN_CLEARANCE_M = 0.05
@@ -136,7 +135,7 @@ class ContactTracker:
     def sent(self, pose: NDArray[np.float32], command: NDArray[np.float32]) -> bool:
         """Processes a command (10,) sent at ``pose`` (10,); returns whether it was a motion in contact."""
         in_contact = self.opening is not None
-        if command[schema.GRIPPER_DIM] >= CLOSED:
+        if command[schema.GRIPPER_DIM] >= CLOSED_HAND:
             self.opening, self._pushes, self._was_closed = None, False, False
             return False
         if self._pushes:

@@ -15,13 +15,14 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
-from lerobot_adamanip.episode.contact_labels import CLOSED, FAR_ENOUGH_ANGLE, FAR_ENOUGH_DISTANCE
 from lerobot_policy_adamanip.common.losses import surely_none
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
 from lerobot_policy_adamanip.common.torch_rotations import matrix_from_6d
 
+FAR_ENOUGH_DISTANCE, FAR_ENOUGH_ANGLE = 0.008, 0.1
+"""Least commanded motion of a closed hand that is an event [m, rad]; a grip that settles moves less."""
 SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 """Motions are the same if their tools start this near [m], and their directions have at least this cosine."""
 SAME_GOAL_M, SAME_GOAL_RAD = 0.03, 0.5
@@ -73,7 +74,7 @@ class Past:
     @cached_property
     def opens(self) -> Tensor:
         """Which commands open the hand or leave it open (B, H)."""
-        return self.commands[..., GRIPPER_DIM] >= CLOSED
+        return self.commands[..., GRIPPER_DIM] >= CLOSED_HAND
 
     def events(self, *, feedback: bool = True) -> Tensor:
         """Returns a row (B, H, 16) per key frame, zero where invalid; without ``feedback``, zero for the arm's result.
@@ -102,7 +103,7 @@ class Past:
         failed = self.contact & (lost | (undone.norm(dim=-1) > (1 - failed_below) * sent.norm(dim=-1)))
         near = (tool[..., POSITION_DIMS] - self.poses[:, -1:, POSITION_DIMS]).norm(dim=-1) < SAME_PLACE_M
         since_moved = failed & near & ~_before(self.contact & ~failed)
-        closed = motions[..., -1] < CLOSED
+        closed = motions[..., -1] < CLOSED_HAND
         if surely_none(since_moved):
             return torch.zeros_like(closed), torch.zeros_like(closed)
         past, ahead = _in_base(sent, tool), _in_base(_scaled(motions), self.poses[:, -1:])
@@ -123,7 +124,7 @@ class Past:
         undoes = holds & ~self.opens[:, -1:] & ~tried
         if not surely_none(went):
             undoes = undoes | self._sent_before(motions, went) & was_open[:, -1:]
-        return undoes & (motions[..., -1] >= CLOSED)
+        return undoes & (motions[..., -1] >= CLOSED_HAND)
 
     def _sent_before(self, motions: Tensor, went: Tensor) -> Tensor:
         """Returns which motions (B, K, 7) end where a step ``went`` (B, H) that arrived or began where the hand is."""

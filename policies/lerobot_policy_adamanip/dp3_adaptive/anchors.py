@@ -14,8 +14,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, STATE
-from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.common.encoders import make_encoder
@@ -150,7 +150,7 @@ class AnchorHead:
                 failed, failed_now = past.repeats(drawn, self.config.failed_below)
                 rejected, useless = rejected | failed, useless | failed_now
                 logits = logits - GOING_BACK * past.goes_back(drawn)
-        opens = motions.anchors[:, -1] >= CLOSED
+        opens = motions.anchors[:, -1] >= CLOSED_HAND
         rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
         result, done = None, torch.zeros_like(rejected[:, 0])
         for number in range(self.config.num_draws):

@@ -167,7 +167,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
         if self.tcp_relative is not None:
             what = "This is an option or a checkpoint of a version before 0.3, whose networks differ."
-            hint = "train again with this version, or install lerobot_env_adamanip 0.2 for this checkpoint"
+            hint = "train again with this version, or use the commit that the checkpoint's card names"
             raise self._error(what, ("tcp_relative",), "checkpoints that this version has trained", hint)
         self._take_preset()
         for name, choices in CHOICES.items():

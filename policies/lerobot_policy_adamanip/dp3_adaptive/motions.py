@@ -6,9 +6,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
-from lerobot_adamanip.episode.contact_labels import CLOSED
 from lerobot_policy_adamanip.common import tool_frame
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
 
@@ -45,7 +44,7 @@ class TypicalMotions(nn.Module):
         self.spread.copy_(spread)
         shown = F.one_hot(self.nearest(motions), len(anchors)).float().T @ F.one_hot(_state(openings), 3).float()
         self.starts.copy_(shown > MIN_SHARE * shown.sum(dim=1, keepdim=True))
-        self.starts[:, 0] |= anchors[:, -1] >= CLOSED
+        self.starts[:, 0] |= anchors[:, -1] >= CLOSED_HAND
 
     def nearest(self, motion: Tensor) -> Tensor:
         """Returns the index (...) of the nearest anchor of each motion (..., 7)."""
@@ -57,7 +56,7 @@ class TypicalMotions(nn.Module):
 
         A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
         """
-        approaches = (self.anchors[:, -1] > CLOSED) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        approaches = (self.anchors[:, -1] > CLOSED_HAND) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > self.refinement_spread)
         return varying[index]
 

@@ -17,13 +17,15 @@ from lerobot_adamanip.catalog import get_object, select_objects
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, DEPTH_SIZE, Workspace
+from lerobot_adamanip.contract.seeds import BalancedDraws, Stream, episode_generator
+from lerobot_adamanip.episode.tries import TryTracker
 from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import scene
-from lerobot_env_adamanip.sim.contacts import HandTouch
-from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, ControlTick
+from lerobot_env_adamanip.sim.contacts import ArmContacts
+from lerobot_env_adamanip.sim.control_tick import CONTACT_OFFSET, Closing, ControlTick, drive_targets, finger_target
 from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, ArmKinematics
 from lerobot_env_adamanip.sim.mechanism_driver import MechanismDriver
@@ -36,7 +38,6 @@ from lerobot_env_adamanip.sim.views import SimObservation, Views
 
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
 """ManiSkill's names for CPU physics."""
-_PLACEMENT_STREAM, _HIDDEN_STREAM, _OBJECT_STREAM, _CAMERA_STREAM = range(4)
 
 
 class AdaManipTask(BaseEnv):
@@ -49,8 +50,8 @@ class AdaManipTask(BaseEnv):
 
     CPU physics only: the mechanism changes joint limits at run time, which ManiSkill's GPU simulation does not allow.
 
-    ManiSkill's ``state`` observation is the arm's joint positions and velocities; ``info`` has the object's joints.
-    Plain control has no key frames, so the object is not held after the first step (see `MechanismDriver`).
+    ManiSkill's ``state`` observation is the arm's joint positions and velocities.
+    ``info`` has the success alone. Joints are held until a try, in every control mode (see `MechanismDriver`).
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
@@ -60,10 +61,12 @@ class AdaManipTask(BaseEnv):
     """Row of the category in the table of tasks."""
     placement: Placement
     """Poses of this episode, and the annotated parts in the robot's base frame."""
-    holds_the_untried: bool = True
+    holds_joints: bool = True
     """Whether joints are held until a try; read at reset. If False, observations reveal the hidden state."""
     mechanism_driver: MechanismDriver
     """Mechanism of this episode, with its object."""
+    tries: TryTracker
+    """Tries of this episode."""
     views: Views
     """Cameras of this episode."""
     _is_built = False
@@ -163,6 +166,11 @@ class AdaManipTask(BaseEnv):
         """Returns whether the task has succeeded."""
         return self.mechanism_driver.succeeded()
 
+    def restart_tries(self) -> None:
+        """Forgets all tries so far."""
+        kinds = {name: self.obj.joint(name).kind for name in self.mechanism.joints}
+        self.tries = TryTracker(kinds, self.joint_positions())
+
     # ManiSkill's life cycle -------------------------------------------------------------------------------------
 
     @property
@@ -179,7 +187,7 @@ class AdaManipTask(BaseEnv):
         return [without_reflections(camera) for camera in cameras] if self.scene.can_render() else cameras
 
     def _camera(self, size: int, name: str) -> CameraConfig:
-        poses = scene.draw_cameras(self._stream(_CAMERA_STREAM), self.randomization.camera_position)
+        poses = scene.draw_cameras(self._stream(Stream.CAMERA), self.randomization.camera_position)
         return scene.camera_config(name, poses[name], size, self._shader)
 
     @property
@@ -202,7 +210,7 @@ class AdaManipTask(BaseEnv):
         scene.add_lights(self.scene, shadow=self.enable_shadow)
 
     def _load_scene(self, options: dict[str, Any]) -> None:
-        chosen = options.get("object_id") or self._stream(_OBJECT_STREAM).choice(self.object_ids)
+        chosen = options.get("object_id") or self._stream(Stream.OBJECT).choice(self.object_ids)
         obj, task = get_object(str(chosen), self._assets), self.definition
         self._rules = make_mechanism(obj, self.mechanism_rules)
         self._stand = task.stand(obj)
@@ -216,16 +224,17 @@ class AdaManipTask(BaseEnv):
         self._kinematics = ArmKinematics(self.agent.robot._objs[0], task.rest)
 
     def _initialize_episode(self, env_idx: torch.Tensor, options: dict[str, Any]) -> None:
-        rng, spread = self._stream(_PLACEMENT_STREAM), self.randomization
+        rng, spread = self._stream(Stream.PLACEMENT), self.randomization
         self.placement = self._stand.draw(rng, self.obj, self._kinematics, spread, must_reach=self._is_built)
         self._objects.place(self.placement.object_in_base)
         self.agent.reset(np.concatenate([self.placement.start_qpos, [0.04, 0.04]]).astype(np.float32))
-        generator = torch.Generator().manual_seed(int(self._stream(_HIDDEN_STREAM).integers(2**31)))
         overrides = {**self.hidden_overrides, **(options.get("hidden_overrides") or {})}
-        state = self._rules.draw(generator, overrides)
+        state = self._rules.draw(BalancedDraws(int(self._episode_seed[0]), self.category), overrides)
         arm, target = self.agent.robot._objs[0], self._objects.articulation._objs[0]
-        self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_the_untried)
-        self._touch = HandTouch(system := self.scene.sub_scenes[0].physx_system, arm, target, self.obj)
+        self.mechanism_driver = MechanismDriver(self._rules, state, target, hold=self.holds_joints)
+        self.restart_tries()
+        self._contacts = ArmContacts(system := self.scene.sub_scenes[0].physx_system, arm, target, self.obj)
+        self._closing = Closing()
         self._control_tick = ControlTick(system, arm, steps=self._sim_steps_per_control)
         self._arm = KeyframeDriver(
             self._kinematics,
@@ -235,7 +244,6 @@ class AdaManipTask(BaseEnv):
             stiffness=np.asarray(AdaManipPanda.arm_stiffness),
             limits=self.definition.motion,
         )
-        self.mechanism_driver.apply()
         self.views = Views(
             self._objects,
             self.agent,
@@ -247,35 +255,30 @@ class AdaManipTask(BaseEnv):
             self._cloud_source,
         )
 
-    def _stream(self, stream: int) -> np.random.Generator:
-        """Returns a separate generator for each kind of random value, so that the hidden state changes no other."""
-        return np.random.default_rng([int(self._episode_seed[0]), stream])
-
-    def step(self, action: Any) -> Any:
-        """Runs ManiSkill's step: one control step."""
-        self.mechanism_driver.update(detent=False, tried=self.mechanism.joints)
-        return super().step(action)
+    def _stream(self, stream: Stream) -> np.random.Generator:
+        return episode_generator(int(self._episode_seed[0]), stream, self.category)
 
     def _after_control_step(self) -> None:
-        self.mechanism_driver.apply()
+        """Runs after each of ManiSkill's control steps; key frames have their own ticks, see `_tick`."""
+        self._follow_tries(drive_targets(self.agent.robot._objs[0]))
 
     def _tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
-        """Runs one control tick of a key frame, see `MechanismDriver`."""
-        driver = self.mechanism_driver
-        closing, grasped = self._arm.closing, self._arm.moving_closed
-        driver.update(detent=closing, tried=self._touch.joints() if grasped and driver.untried else ())
+        """Runs one control tick of a key frame."""
         self._control_tick.run(target, velocity, finger)
-        if driver.untried:
-            pushed = self._touch.pushed(*map(self._kinematics.tcp_in_base, (target, self.arm_state().qpos)))
-            driver.update(detent=closing, tried=() if grasped or closing else pushed)
-        driver.apply()
+        self._follow_tries(target)
+
+    def _follow_tries(self, target: NDArray[np.float64]) -> None:
+        """Follows tries for one control tick with joint targets (7,) [rad], and holds and releases joints by them."""
+        pushes = self._contacts.pushes(*map(self._kinematics.tcp_in_base, (target, self.arm_state().qpos)))
+        closing = self._closing.update(target, finger_target(self.agent.robot._objs[0]))
+        self.tries.update({} if closing else pushes, self.joint_positions())
+        self.mechanism_driver.apply(self.mechanism.joints if closing else self.tries.at_rest())
 
     # Outcome ----------------------------------------------------------------------------------------------------
 
     def evaluate(self) -> dict[str, Any]:
-        """Returns success and the object's joint positions [rad or m], each as a tensor (1,)."""
-        values = {"success": self.mechanism_driver.succeeded(), **self.joint_positions()}
-        return {name: torch.tensor([value]) for name, value in values.items()}
+        """Returns success, a tensor (1,)."""
+        return {"success": torch.tensor([self.mechanism_driver.succeeded()])}
 
     def compute_sparse_reward(self, obs: Any, action: Any, info: dict[str, Any]) -> torch.Tensor:
         """Returns 1 while the task has succeeded."""

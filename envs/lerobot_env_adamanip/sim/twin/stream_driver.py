@@ -10,14 +10,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Feedback, Outcome
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector
-from lerobot_env_adamanip.sim.keyframe_driver import (
-    FINGER_HALF,
-    LEANING_SPEED,
-    MOVED_POSITION,
-    MOVED_ROTATION,
-    PATH_TOLERANCE,
-    KeyframeDriver,
-)
+from lerobot_env_adamanip.sim.keyframe_driver import LEANING_SPEED, PATH_TOLERANCE, KeyframeDriver
 from lerobot_env_adamanip.sim.kinematics import pose_error
 
 Array = NDArray[np.float64]
@@ -28,8 +21,6 @@ BRAKING = 0.8
 """Fraction of the acceleration used for braking, since ticks have a finite length."""
 FOLLOWS = 0.2
 """Minimum fraction of its path that the commanded pose covers, unless a joint is at its limit."""
-CLOSES = 5e-3
-"""Minimum decrease of the finger target that closes the hand [m]."""
 
 
 class StreamDriver(KeyframeDriver):
@@ -44,8 +35,7 @@ class StreamDriver(KeyframeDriver):
         self._slot: tuple[Array, float] | None = None
         self._velocity: Array = np.zeros(6)
         self._holding = False
-        self._closing_left = self._stuck = 0
-        self._gripped_at: Array | None = None
+        self._stuck = 0
         self.stalled = False
         """Whether the tool presses against an obstacle in front of the target."""
         self.unreachable = False
@@ -60,10 +50,7 @@ class StreamDriver(KeyframeDriver):
         goal, gripper = self._checked(action)
         if self._slot is None:
             self._begin_stream()
-        finger_goal = self._finger_goal(gripper)
-        if finger_goal < self._finger_target - CLOSES:
-            self._closing_left, self._gripped_at = self.limits.grip_ticks, None
-        self._finger_target = finger_goal
+        self._finger_target = self._finger_goal(gripper)
         self._slot = self.goal = (goal, gripper)
         self._holding = False
 
@@ -75,7 +62,6 @@ class StreamDriver(KeyframeDriver):
         """Advances one control tick towards the target. Without a target the arm stays."""
         before = self.kinematics.tcp_in_base(self._target)
         goal = before if self._slot is None or self._holding else self._slot[0]
-        self._grip(goal, before)
         lag = pose_error(self.kinematics.tcp_in_base(self._read().qpos), before)
         waypoint, velocity = self._next(before, goal)
         if self.stalled and self._farther(waypoint, lag):
@@ -88,10 +74,9 @@ class StreamDriver(KeyframeDriver):
     def end_stream(self) -> None:
         """Drops the target. The next target or key frame starts at the arm's current pose."""
         self._leans = self.stalled and bool(np.abs(self._read().qvel).max() < LEANING_SPEED)
-        self._slot, self._gripped_at, self._closing_left, self._stuck = None, None, 0, 0
+        self._slot, self._stuck = None, 0
         self._holding = False
         self._velocity, self.stalled, self.unreachable = np.zeros(6), False, False
-        self.closing = self.moving_closed = False
 
     def break_off(self) -> None:
         """Decelerates from the current speed after an aborted key frame."""
@@ -115,23 +100,6 @@ class StreamDriver(KeyframeDriver):
         if self._leans:  # a stalled key frame ends under strain
             self._target, self._leans = self._read().qpos.copy(), False
         self._strained = 0
-        if self._finger_target < FINGER_HALF:
-            self._gripped_at = self.kinematics.tcp_in_base(self._target)
-
-    def _grip(self, goal: Array, commanded: Array) -> None:
-        """Sets whether the hand only closes or moves while closed; see `MechanismDriver`."""
-        limits, closed = self.limits, self._finger_target < FINGER_HALF
-        if self._closing_left:
-            self.closing = _near(goal, commanded, limits.reached_position, limits.reached_rotation)
-            self._closing_left -= 1
-        else:
-            self.closing = False
-            if closed and self._gripped_at is None:
-                self._gripped_at = commanded
-            elif not closed:
-                self._gripped_at = None
-        gripped = self._gripped_at
-        self.moving_closed = gripped is not None and not _near(goal, gripped, MOVED_POSITION, MOVED_ROTATION)
 
     def _next(self, commanded: Array, goal: Array) -> tuple[Array, Array]:
         """Returns the next commanded pose (4, 4) and its velocity (6,): [m/s, base frame], [rad/s, tool frame]."""
@@ -170,11 +138,6 @@ class StreamDriver(KeyframeDriver):
         if not follows:
             self._velocity = np.zeros(6)
         return solution.qpos if follows else self._target
-
-
-def _near(goal: Array, other: Array, position: float, rotation: float) -> bool:
-    error = pose_error(other, goal)
-    return bool(np.linalg.norm(error[:3]) < position and np.linalg.norm(error[3:]) < rotation)
 
 
 def _braking_speed(distance: float, deceleration: float) -> float:

@@ -1,0 +1,145 @@
+"""Checks that no joint moves, is released or tells its state without a labelled try, whatever the hand does.
+
+Random hands (open, half open or closed; at a part, near it or far away) move at random, under two hidden states (three
+for a lamp). A joint without a try must be held and must not have moved. All numbers of arm and object must be
+bit-identical under every hidden state until a joint is tried. Returns 1 if a category fails. For example:
+
+    python scripts/check_tries.py --category all --seeds 400 --workers 2      # 2,000 hands a category
+"""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import sys
+import warnings
+from collections import Counter
+from dataclasses import dataclass, field
+from itertools import zip_longest
+from typing import Any
+
+import numpy as np
+from check_common import parser, run_seeds
+from check_hidden_state import VARIANTS, Frame, _frame, differences
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.contract.keyframes import PRE_GRASP
+from lerobot_adamanip.contract.rotations import pose_vector, transform
+from lerobot_adamanip.episode.tries import MIN_JOINT_MOTION
+from lerobot_adamanip.util.errors import UnreachableError
+
+FIRST_SEED = 800
+HANDS = 5
+"""Number of hands per scene."""
+GRIPPERS = (0.0, 0.3, 0.55, 1.0)
+"""Commanded openings."""
+PLACES = {"at": (0.004, 0.05), "near": (0.03, 0.3), "far": (0.25, 1.0)}
+"""Place of a hand -> standard deviations of its distance [m] and rotation [rad] from a grasp."""
+WAY, TURN = 0.06, 0.6
+"""Standard deviations of a hand's motion [m, rad]."""
+MAX_MOTION = 1e-4
+"""Motion of a held joint that is the solver's tolerance [rad or m]."""
+
+
+@dataclass
+class Result:
+    """Result of one scene: hands, tries by kind of hand, motions after a try by spring or gravity, violations."""
+
+    seed: int
+    hands: int = 0
+    tries: Counter[str] = field(default_factory=Counter)
+    own_motions: int = 0
+    wrong: list[str] = field(default_factory=list)
+
+
+def random_hand(task: Any, rng: np.random.Generator) -> tuple[str, list[NDArray[np.float32]]]:
+    """Returns the kind of a hand, and its three key frames: before a part, at it, and a random motion from there."""
+    parts, place = list(task.placement.annotations.values()), str(rng.choice(list(PLACES)))
+    part, (shift, turn) = parts[rng.integers(len(parts))], PLACES[place]
+    grasp = part.moved(task.joint_positions()) @ _random(rng, shift, turn)
+    first, second = rng.choice(GRIPPERS, 2)
+    gripper = f"{_name(first)} to {_name(second)}"
+    poses = (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp, grasp @ _random(rng, WAY, TURN))
+    openings = (1.0 if rng.random() < 0.5 else first, first, second)
+    return f"{place}, {gripper}", [pose_vector(pose, opening) for pose, opening in zip(poses, openings, strict=True)]
+
+
+def _name(gripper: float) -> str:
+    return "closed" if gripper == 0.0 else "open" if gripper == 1.0 else "half"
+
+
+def _random(rng: np.random.Generator, shift: float, turn: float) -> NDArray[np.float64]:
+    return transform(rng.normal(size=3) * shift, Rotation.from_rotvec(rng.normal(size=3) * turn).as_matrix())
+
+
+def play(task: Any, seed: int, hidden: dict[str, Any], result: Result) -> tuple[list[Frame], int]:
+    """Runs the hands of a scene; returns all frames, and the number of those before the first try."""
+    task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
+    rng, frames, untold = np.random.default_rng(seed), [_frame(task)], 1
+    start, names = task.joint_positions(), task.mechanism.joints
+    for _ in range(HANDS):
+        kind, actions = random_hand(task, rng)
+        result.hands += 1
+        for action in actions:
+            known, before = [made.ticks for made in task.tries.tries], task.joint_positions()
+            task.execute(action)
+            frames.append(_frame(task))
+            tried = {names[made.joint] for made in task.tries.tries}
+            result.tries[kind] += len(task.tries.tries) - len(known)
+            positions, pairs = task.joint_positions(), zip_longest(task.tries.tries, known, fillvalue=0)
+            now = {names[made.joint] for made, ticks in pairs if made.ticks > ticks}
+            moved = {name for name in names if abs(positions[name] - before[name]) > MIN_JOINT_MOTION["revolute"]}
+            result.own_motions += len(moved - now)
+            for name in set(names) - tried:
+                if abs(positions[name] - start[name]) > MAX_MOTION:
+                    result.wrong.append(f"{name} moved by {positions[name] - start[name]:.3g} without a try; {kind}")
+                if name not in task.mechanism_driver.held:
+                    result.wrong.append(f"{name} was released without a try; {kind}")
+        untold = len(frames) if not task.tries.tries else untold
+    return frames, untold
+
+
+def check(category: str, seeds: list[int]) -> list[Result]:
+    """Returns the result of each seed. Skips seeds without a placed object."""
+    from lerobot_env_adamanip.simulator import make_task
+
+    warnings.filterwarnings("ignore")
+    task, results = make_task(category), []
+    try:
+        for seed in seeds:
+            result = Result(seed)
+            with contextlib.suppress(UnreachableError):
+                first, *others = (play(task, seed, hidden, result) for hidden in VARIANTS[category])
+                for frames, untold in others:
+                    same = min(untold, first[1])
+                    result.wrong += differences(first[0][:same], frames[:same])
+                result.hands //= len(VARIANTS[category])
+                results.append(result)
+    finally:
+        task.close()
+    return results
+
+
+def main() -> int:
+    """Parses, runs, prints. Returns 0 if the law holds."""
+    options = parser(__doc__, seeds=400, first_seed=FIRST_SEED).parse_args()
+    reports, lines = [], []
+    for name, results in run_seeds(check, options).items():
+        tries: Counter[str] = sum((result.tries for result in results), Counter())
+        wrong = {result.seed: result.wrong for result in results if result.wrong}
+        hands = sum(result.hands for result in results)
+        reports.append({"category": name, "hands": hands, "tries": dict(sorted(tries.items())), "wrong": wrong})
+        own = sum(result.own_motions for result in results)
+        reports[-1]["own_motions"] = own
+        lines.append(
+            f"{name:16} {hands:5} hands, {sum(tries.values()):5} tries, {own} motions by spring or gravity after one, "
+            f"{len(wrong)} scenes break the law"
+        )
+        lines += [f"  seed {seed}: {'; '.join(found[:3])}" for seed, found in list(wrong.items())[:5]]
+    sys.stdout.write((json.dumps(reports) if options.json else "\n".join(lines)) + "\n")
+    return 0 if all(report["hands"] and not report["wrong"] for report in reports) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
