@@ -79,11 +79,9 @@ def test_rotation_and_gripper_get_their_true_range_and_nothing_else_changes(key:
     stats = statistics(DIMS)
     fixed = schema.fix_pose_statistics(stats)
     others = [*range(3), *range(10, DIMS[key])]
-    lower, middle, upper = (dict.fromkeys(names, value) for names, value in (
-        (("min", "q01", "q10"), -1.0), (("mean", "q50"), 0.0), (("max", "q90", "q99", "std"), 1.0),
-    ))  # fmt: skip
-    expected = lower | middle | upper
-    for name, value in expected.items():
+    lower, middle = dict.fromkeys(("min", "q01", "q10"), -1.0), dict.fromkeys(("mean", "q50"), 0.0)
+    upper = dict.fromkeys(("max", "q90", "q99", "std"), 1.0)
+    for name, value in {**lower, **middle, **upper}.items():
         assert np.all(fixed[key][name][3:10] == value)
         assert np.array_equal(fixed[key][name][others], stats[key][name][others])
     assert fixed[key]["count"] is stats[key]["count"]

@@ -122,7 +122,7 @@ def cloud_statistics(batches: Iterable[NDArray[np.float32]]) -> dict[str, NDArra
     """Returns the statistics of the points of (R, 3 N) batches: (3 N,) values, equal for every point."""
     bins = np.zeros((3, 2 * _CLOUD_REACH + 1), np.int64)
     lowest, highest, sums, squares = np.full(3, np.inf), np.full(3, -np.inf), np.zeros(3), np.zeros(3)
-    rows, widths = 0, set()
+    rows, widths = 0, set[tuple[int, ...]]()
     for batch in batches:
         rows, widths = rows + len(batch), widths | {batch.shape[1:]}
         points = as_points(batch).reshape(-1, 3).astype(np.float64)

@@ -166,7 +166,7 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     except (OSError, pa.ArrowException):
         return  # `read_rows` reports the file
     fixed = unscaled_poses(true, layout.features)
-    ours, wrong, averaged = contract_of(layout.features), [], []
+    ours, wrong, averaged = contract_of(layout.features), list[str](), list[str]()
     for key in sorted(true.keys() - set(OF_PLACE)):
         if key not in told:
             if key in ours:
