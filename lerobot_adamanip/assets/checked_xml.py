@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 import math
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +24,9 @@ def broken(
     return ConfigurationError(f"{path}: {what}", got=got, allowed=allowed, hint=hint)
 
 
-def annotate_hint(path: Path) -> str:
+def annotate_hint(path: Path, category: str) -> str:
     """Returns the command that annotates the object whose URDF or annotation is at ``path``."""
-    return f"adamanip annotate {path.parent.name}"
+    return f"adamanip annotate {shlex.quote(str(path.parent))} --category {category}"
 
 
 @functools.cache

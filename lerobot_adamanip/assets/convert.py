@@ -75,7 +75,7 @@ def assemble(
             f"a {annotation.category} like this can never be opened.",
             reason,
             f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
-            hint=f"{annotate_hint(urdf.path)}, and set how far the joint goes",
+            hint=f"set how far the joint goes: {annotate_hint(urdf.path, annotation.category)}",
         )
     tell_left_out(found)
     return obj
@@ -85,12 +85,12 @@ def check_joints(urdf: Urdf, annotation: Annotation) -> None:
     """Raises `ConfigurationError` unless each role has its own joint of the right type."""
     roles, by_name = ROLES[annotation.category], {joint.name: joint for joint in urdf.moving}
     chosen = [annotation.joints[role.name].joint for role in roles.joints]
-    hint = annotate_hint(urdf.path)
+    hint = annotate_hint(urdf.path, annotation.category)
     if len(set(chosen)) != len(chosen) or not set(chosen) <= set(by_name):
         raise broken(urdf.path, "the annotation's joints are not two of its own.", chosen, list(by_name), hint=hint)
     for role, name in zip(roles.joints, chosen, strict=True):
         joint = by_name[name]
-        check_kind(urdf, role, joint)
+        check_kind(urdf, annotation.category, role, joint)
         if joint.mimic is not None:
             what = f"joint {name!r} cannot be the {role.name}: it does not move by itself."
             free = ", ".join(each.name for each in urdf.leading) or "a joint that follows none"
@@ -189,7 +189,7 @@ class _Assembly:
                 f"the {role.name} is not where, or on what, a {self.annotation.category} has it.",
                 f"moves with {', '.join(sorted(carried)) or 'nothing'}, {max(away, 0):.2f} m outside of the object",
                 f"moves with {', '.join(role.joints)}, {NEAR} m outside at most",
-                hint=annotate_hint(where),
+                hint=annotate_hint(where, self.annotation.category),
             )
         return part
 

@@ -83,20 +83,23 @@ def _is_held(found: Posed, annotation: Annotation, part: PartChoice, links: Iter
 def _require_sizes(found: Posed, annotation: Annotation) -> None:
     """Checks visual and collision sizes: a wrong unit makes a part tens of times too large or too small."""
     roles, urdf = ROLES[annotation.category], found.urdf
-    least, most = max(SMALLEST, roles.typical_size / OFF), min(LARGEST, OFF * roles.typical_size)
+    whole = max(SMALLEST, roles.typical_size / OFF), min(LARGEST, OFF * roles.typical_size)
     for surfaces in (found.visuals, found.collisions):
         for role in reversed(roles.joints):  # smaller part first: its error is more specific
             joint = next(each for each in urdf.joints if each.name == annotation.joints[role.name].joint)
             longest, (smallest, largest) = _longest(surfaces, _below(urdf, joint.child)), role.extents
             what = f"is of a size no {annotation.category} has." if longest else "moves no shape."
-            _require_size(urdf, f"its {role.name} {what}", longest, smallest / OFF, min(LARGEST, OFF * largest))
-        _require_size(urdf, "of a size no such object has.", _longest(surfaces, urdf.links), least, most)
+            bounds = smallest / OFF, min(LARGEST, OFF * largest)
+            _require_size(urdf, annotation.category, f"its {role.name} {what}", longest, bounds)
+        longest = _longest(surfaces, urdf.links)
+        _require_size(urdf, annotation.category, "of a size no such object has.", longest, whole)
 
 
-def _require_size(urdf: Urdf, what: str, longest: float, least: float, most: float) -> None:
+def _require_size(urdf: Urdf, category: str, what: str, longest: float, bounds: tuple[float, float]) -> None:
+    least, most = bounds
     if not least <= longest <= most:
         got, allowed = f"{longest:.3g} m along its longest side", f"{least:.2g} ... {most:.2g} m"
-        hint = f"see which unit its meshes state, or {annotate_hint(urdf.path)}, and set the scale"
+        hint = f"see which unit its meshes state, or set the scale: {annotate_hint(urdf.path, category)}"
         raise broken(urdf.path, what, got, allowed, hint=hint)
 
 

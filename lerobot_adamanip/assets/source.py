@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 import os
 import re
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -212,7 +213,7 @@ class AssetSource:
         reports = [self._report(category, each) for each in found]
         usable = tuple(report.asset_id for report in reports if report.usable)
         listed = "\n".join(f"  {report.asset_id}: {report.problem}" for report in reports if not report.usable)
-        check = f"adamanip objects --assets {self.directory} --category {category}"
+        check = f"adamanip objects --assets {shlex.quote(str(self.directory))} --category {category}"
         if not usable:
             raise ConfigurationError(
                 f"No {category} under {self.directory} can be used.",

@@ -52,7 +52,7 @@ def upstream_annotation(urdf: Urdf, category: str) -> Annotation:
     for part in roles.parts:
         path = next((p for name in part.point_files if (p := urdf.path.parent / name).is_file()), None)
         if path is None:
-            raise _unannotated(urdf, part)
+            raise _unannotated(urdf, category, part)
         link = part_link(urdf, part, joints, roles.final, roles.key)
         rolls = any_roll() if part.round else TWO_FINGERS
         parts[part.name] = PartChoice(link, upstream_grasp(part, read_point(path)), "link", rolls)
@@ -74,15 +74,15 @@ def guessed_joints(urdf: Urdf, category: str) -> dict[str, JointChoice]:
         needed = " and ".join(f"{r.name} ({r.kind})" for r in roles.joints)
         raise broken(urdf.path, f"a {category} needs two joints that move.", list(moving) or "none", needed)
     for role, joint in zip(roles.joints, chosen, strict=True):
-        check_kind(urdf, role, joint)
+        check_kind(urdf, category, role, joint)
     return {role.name: default_choice(role, joint) for role, joint in zip(roles.joints, chosen, strict=True)}
 
 
-def check_kind(urdf: Urdf, role: JointRole, joint: UrdfJoint) -> None:
+def check_kind(urdf: Urdf, category: str, role: JointRole, joint: UrdfJoint) -> None:
     """Raises `ConfigurationError` if a joint does not have the type of its role."""
     kind = "revolute" if joint.kind == "continuous" else joint.kind
     if kind != role.kind:
-        what, hint = f"joint {joint.name!r} cannot be the {role.name}.", f"{annotate_hint(urdf.path)}, choose the joint"
+        what, hint = f"joint {joint.name!r} cannot be the {role.name}.", annotate_hint(urdf.path, category)
         raise broken(urdf.path, what, joint.kind, role.kind, hint=hint)
 
 
@@ -146,10 +146,10 @@ def _stored_point(path: Path) -> Any:
     return value.detach().double().numpy()
 
 
-def _unannotated(urdf: Urdf, part: PartRole) -> ConfigurationError:
+def _unannotated(urdf: Urdf, category: str, part: PartRole) -> ConfigurationError:
     return ConfigurationError(
         f"{urdf.path.parent.name} does not say where its {part.name} is held.",
         got=f"neither {ANNOTATION_NAME} nor {' nor '.join(part.point_files)} in {urdf.path.parent}",
         allowed=f"{ANNOTATION_NAME}, or AdaManip's annotated points (PartNet-Mobility has none)",
-        hint=f"adamanip annotate {urdf.path.parent.name} --category ...",
+        hint=annotate_hint(urdf.path, category),
     )

@@ -108,16 +108,16 @@ class Calibrate:
     def _record(self, folder: Path, robot_file: Path) -> None:
         from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
         from lerobot_adamanip.hardware.calibration.live import begin, camera_of, robot_from_file, take_views
+        from lerobot_adamanip.hardware.closing import closing_on_error
 
         robot = robot_from_file(robot_file)
         robot.connect(calibrate=False)
-        try:
+        with closing_on_error(robot.disconnect):
             camera = camera_of(robot, self.key)
             views = begin(folder, camera, Mounting(self.mounting), self._board())
             self._say(f"{len(views.tcp_in_base)} pictures so far; {ENOUGH_PICTURES} are enough")
             take_views(robot, camera, views, _wants_picture, self._say)
-        finally:
-            robot.disconnect()
+        robot.disconnect()
 
     def _say(self, line: str) -> None:
         if not self.json:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import io
 import os
 import sys
 from collections.abc import Sequence
@@ -10,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
-from lerobot_adamanip.cli.option_names import check_options
+from lerobot_adamanip.cli.option_names import check_options, unreadable_options
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
@@ -99,13 +101,19 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> AdaManipError:
 
 
 def parse(name: str, options: Sequence[str]) -> Any:
-    """Returns a subcommand with its options. Exits or raises `ConfigurationError` for wrong options."""
+    """Returns a subcommand with its options. Exits after ``--help``; raises `ConfigurationError` for wrong options."""
     command = load(name)
     check_options(name, command, options)
     import tyro
 
-    config = (tyro.conf.FlagCreatePairsOff,)
-    return tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=options, config=config)
+    config, output = (tyro.conf.FlagCreatePairsOff,), io.StringIO()
+    try:
+        with contextlib.redirect_stderr(output):
+            return tyro.cli(command, prog=f"adamanip {name}", description=command.__doc__, args=options, config=config)
+    except SystemExit as ended:
+        if not ended.code:
+            raise
+        raise unreadable_options(name, output.getvalue()) from None
 
 
 def execute(name: str, options: Sequence[str]) -> int:

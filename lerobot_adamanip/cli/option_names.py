@@ -72,3 +72,25 @@ def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
             kind = get_args(kind)[0]
         choices = get_args(kind) if get_origin(kind) is Literal else ()
         yield f"--{'no-' if field.default is True else ''}{name.replace('_', '-')}", choices
+
+
+def unreadable_options(command: str, printed: str) -> ConfigurationError:
+    """Returns the error for options that tyro refuses, from the box that tyro prints.
+
+    Below its title, the first section of the box is the reason. A second one may describe the option. The terminal's
+    encoding decides which characters the box is drawn with.
+    """
+    sections: list[list[str]] = [[]]
+    for line in printed.splitlines()[1:]:
+        text = line.strip("│|╭╰╮╯+ ")
+        if set(text) <= set("─-"):
+            sections.append([])
+        elif not line[1:10].isspace():  # deeper lines are the help of missing options
+            sections[-1].append(text)
+    reason, *described = [section for section in sections if section] or [[printed.strip()]]
+    return ConfigurationError(
+        f"The options of `adamanip {command}` cannot be read.",
+        got=" ".join(reason),
+        allowed=" ".join(described[0][1:]) if len(described) > 1 else "the options and arguments of --help",
+        hint=f"adamanip {command} --help",
+    )

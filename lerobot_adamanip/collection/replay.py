@@ -137,7 +137,7 @@ def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
             "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
             got=f"{as_typed(root.absolute())}, without meta/collection.json",
             allowed="a dataset of `adamanip collect`, or a part of one",
-            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())}",
+            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())} --out episode.png",
         )
     return CollectedDataset.open(root, assets)
 

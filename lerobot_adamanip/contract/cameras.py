@@ -27,6 +27,11 @@ CAMERAS = {
     FRONT: CameraView((0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),
 }
 """Name in observations (``pixels``) -> camera. A row's random draws follow those of earlier rows."""
+PIXEL_CONVENTION = "opencv"
+"""Pixel coordinates of all stored intrinsics, as OpenCV has them: x right, y down, (0, 0) at the first pixel's centre.
+
+The middle of a picture is (size - 1) / 2. Resizing by a factor s moves a coordinate c to (c + 0.5) s - 0.5.
+"""
 _COLUMNS = "observation.images."
 
 

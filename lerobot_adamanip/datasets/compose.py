@@ -168,7 +168,7 @@ def _require_same_calibrations(sources: Sequence[Source]) -> None:
             "These recordings have different camera calibrations or safety limits; a recording can hold only one.",
             got=", ".join(source.root.name for source in dense),
             allowed=f"recordings with the same {' and '.join(_OF_ROBOT)}",
-            hint=f"adamanip keyframes {names} --out BOTH converts each with its own",
+            hint=f"adamanip keyframes {names} --out BOTH, which converts each with its own",
         )
 
 

@@ -281,5 +281,5 @@ def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) 
                 f"Column {key} does not fit.",
                 got=f"shape {found.get(key, 'missing')} in {folder}",
                 allowed=f"shape {wanted}",
-                hint=f"adamanip collect --num-points {points}, or another dataset",
+                hint=f"adamanip collect DIR --num-points {points}, or another dataset",
             )

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.hardware.arm_process.encoding import message
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @message
@@ -72,16 +74,22 @@ class CameraCalibration:
 def simulated_calibration(camera: Mapping[str, Any], name: str = "simulated") -> CameraCalibration:
     """Returns the calibration of a simulated camera, which has one imager for colour and depth.
 
-    The simulator measures the principal point from the image corner, OpenCV from the centre of the first pixel.
-    Without this half pixel, the cloud is 1.5 mm off.
-
     Args:
         camera: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the base frame, OpenCV axes [m], ``width`` and
-            ``height`` [px].
+            ``height`` [px], ``convention`` of the pixel coordinates.
         name: camera name.
+
+    Raises:
+        ConfigurationError: other pixel coordinates, or unnamed ones. Half a pixel moves the cloud by 1.5 mm.
     """
+    if (convention := camera.get("convention")) != PIXEL_CONVENTION:
+        raise ConfigurationError(
+            "The intrinsics of a camera have unknown pixel coordinates.",
+            got=f"convention={convention!r}",
+            allowed=f"{PIXEL_CONVENTION!r}: the centre of the first pixel is (0, 0)",
+            hint="data of this version",
+        )
     matrix = np.array(camera["intrinsics"], np.float64)
-    matrix[:2, 2] -= 0.5
     imager = Intrinsics(matrix, np.zeros(0), int(camera["width"]), int(camera["height"]))
     pose = np.array(camera["extrinsics"], np.float64)
     return CameraCalibration(name, imager, pose, color=imager, depth_in_color=np.eye(4))

@@ -86,7 +86,7 @@ def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | Non
             f"The pose of camera {calibration.camera} is unknown.",
             got="a camera on the hand, and no pose of the tool" if calibration.depth_in_tcp is not None else "no pose",
             allowed="its pose in the robot's base, or on the tool with the tool's pose",
-            hint="adamanip calibrate",
+            hint="adamanip calibrate views --record robot.json --out FILE",
         )
     return np.asarray(tcp_in_base @ calibration.depth_in_tcp)
 

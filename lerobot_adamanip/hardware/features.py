@@ -27,6 +27,11 @@ FRONT_CAMERA = "front"
 DEPTH_SUFFIX = "_depth"
 """Suffix of a camera's depth image: uint16 [mm], 0 for invalid pixels."""
 
+INTERVENTION = "intervention"
+"""Column of recorded rollouts: whether a person or an expert had taken over."""
+KEY_FRAME_COLUMNS = frozenset((POINT_CLOUD, OUTCOME))
+"""Columns that datasets of key frames have and recordings of ticks do not."""
+
 CALIBRATIONS = "meta/calibrations.json"
 """Calibration file of a recording."""
 SAFETY = "meta/safety.json"
@@ -47,4 +52,4 @@ def is_dense(features: Mapping[str, Any]) -> bool:
     names = names_of(features.get(STATE))
     ours = set(SCALAR_NAMES) <= set(names) or names == list(STATE_NAMES)
     ours = ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
-    return ours and not {POINT_CLOUD, OUTCOME} & set(features)
+    return ours and not KEY_FRAME_COLUMNS & set(features)

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 
@@ -32,6 +32,7 @@ class RobotSession:
         reading: latest reading.
         sent: (10,) last accepted target; None before the first.
         safety: limits of the robot's safety filter.
+        execution: mode of all actions; None if unknown.
         calibrations: camera calibrations by camera key.
         details: further descriptions from the backend (twin: its annotations and episode).
         episodes: counter of started and abandoned episodes. At each, teleoperators anchor their goal again.
@@ -40,6 +41,7 @@ class RobotSession:
     reading: ArmReading | None = None
     sent: NDArray[np.float32] | None = None
     safety: SafetyLimits | None = None
+    execution: Execution | None = None
     calibrations: dict[str, CameraCalibration] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
     episodes: int = 0

@@ -23,6 +23,7 @@ from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
     DEPTH_SUFFIX,
     FRONT_CAMERA,
+    INTERVENTION,
     LABEL_NAME,
     OUTCOME_NAME,
     SAFETY,
@@ -36,8 +37,6 @@ from lerobot_adamanip.hardware.safety_limits import limits_from_json
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
-INTERVENTION = "intervention"
-"""Column of LeRobot's DAgger recordings: whether a person or an expert had taken over."""
 _ROTATION_OFF = 0.05
 """Maximum error of a valid target rotation. A larger error means that the robot has not accepted a target yet."""
 

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
@@ -133,14 +134,18 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
     matrix = imager.matrix.copy()
     matrix[:2, 2] -= ((imager.width - side) // 2, (imager.height - side) // 2)
     wanted = size or side
-    matrix = np.diag([wanted / side, wanted / side, 1.0]) @ matrix
+    scale = wanted / side
+    matrix[:2, 2] += 0.5  # from the corner, where scaling has its fixed point
+    matrix = np.diag([scale, scale, 1.0]) @ matrix
+    matrix[:2, 2] -= 0.5
     is_fixed = calibration.depth_in_base is not None
     depth_pose = calibration.depth_in_base if is_fixed else calibration.depth_in_tcp
     pose = np.eye(4) if depth_pose is None else depth_pose
     if calibration.color is not None and calibration.depth_in_color is not None:
         pose = pose @ np.linalg.inv(calibration.depth_in_color)
-    told = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": wanted, "height": wanted}
-    return told if is_fixed else {**told, "frame": "tcp"}
+    record = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": wanted, "height": wanted}
+    record["convention"] = PIXEL_CONVENTION
+    return record if is_fixed else {**record, "frame": "tcp"}
 
 
 def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -96,7 +96,7 @@ def no_vulkan_device(reason: object) -> SimulatorError:
         got=reason,
         allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
         hint=f"{GET_PICTURES}; or do without pictures: observe_images=False (Python), --env.observe_images=false "
-        "(LeRobot's commands), adamanip collect --no-images",
+        "(LeRobot's commands), adamanip collect DIR --no-images",
     )
 
 

@@ -81,7 +81,7 @@ def test_unidoormanip_s_door_is_read_with_collada(tmp_path: Path) -> None:
 
 def test_partnet_mobility_needs_the_annotation_tool(tmp_path: Path) -> None:
     folder = partnet_safe(tmp_path / "101564")
-    with pytest.raises(ConfigurationError, match=r"adamanip annotate 101564"):
+    with pytest.raises(ConfigurationError, match=r"adamanip annotate \S*101564 --category safe"):
         load_object(folder, "safe")
     (folder / "adamanip.json").write_text(json.dumps(safe_annotation()))
     safe = load_object(folder, "safe")

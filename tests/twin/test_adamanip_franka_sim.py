@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
@@ -56,6 +57,7 @@ class FakeProcess:
 
     def told(self, seed: int) -> dict[str, Any]:
         camera = {"intrinsics": np.eye(3).tolist(), "extrinsics": np.eye(4).tolist(), "width": 16, "height": 16}
+        camera["convention"] = PIXEL_CONVENTION
         return {"seed": seed, "category": "microwave", "annotations": PARTS, "camera": camera}
 
     def status(self) -> ArmStatus:

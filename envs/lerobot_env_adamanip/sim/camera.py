@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.contract.pointcloud import Cloud
 
 if TYPE_CHECKING:
@@ -92,10 +93,11 @@ def camera_parameters(camera: PinholeCamera) -> dict[str, Any]:
     """Returns a camera's calibration as a JSON-serialisable dictionary; the robot's base is the world's origin.
 
     Keys: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the robot's base frame, OpenCV axes [m], ``width``
-    and ``height`` [px].
+    and ``height`` [px], ``convention`` (`PIXEL_CONVENTION`).
     """
-    focal, middle = float(camera.focal), 0.5 * camera.size
+    focal, middle = float(camera.focal), 0.5 * (camera.size - 1)
     return {
+        "convention": PIXEL_CONVENTION,
         "intrinsics": [[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]],
         "extrinsics": (camera.pose @ OPENCV_FROM_GL).tolist(),
         "width": camera.size,

@@ -14,6 +14,7 @@ from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import RESET
 from lerobot_adamanip.hardware.camera_frames import simulated_calibration
+from lerobot_adamanip.hardware.closing import close_all
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
 from lerobot_adamanip.hardware.safety_limits import SafetyLimits
 from lerobot_adamanip.util import files
@@ -82,10 +83,12 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def disconnect(self) -> None:
         """Disconnects. First logs an episode outside a recording to ``episode_log``."""
-        if self.is_connected and self._moved and self.config.episode_log is not None:
+        close_all([self._log_last_episode, super().disconnect])
+
+    def _log_last_episode(self) -> None:
+        moved, self._moved = self._moved, False
+        if self.is_connected and moved and self.config.episode_log is not None:
             self._log(Path(self.config.episode_log), None)
-            self._moved = False
-        super().disconnect()
 
     # Observation and action ------------------------------------------------------------------------------------------
 

@@ -67,7 +67,7 @@ def read_annotation(path: Path, category: str) -> Annotation:
     """Reads ``adamanip.json``; raises `ConfigurationError` if its category or content is wrong."""
 
     def wrong(what: str, got: object, allowed: str) -> Exception:
-        return broken(path, what, got, allowed, hint=annotate_hint(path))
+        return broken(path, what, got, allowed, hint=annotate_hint(path, category))
 
     try:
         found: Any = read(path)

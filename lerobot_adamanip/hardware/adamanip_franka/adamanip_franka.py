@@ -3,25 +3,29 @@
 from __future__ import annotations
 
 import logging
+import shlex
 import time
 from dataclasses import fields
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
+from lerobot.cameras.camera import Camera
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.adamanip_franka.execution_check import check_caller
 from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, action_vector
-from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, pictures, scalars
+from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, check_cameras, pictures, scalars
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
+from lerobot_adamanip.hardware.closing import close_all, closing_on_error
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, ROBOTS, SUCCESS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
@@ -92,7 +96,7 @@ class AdamanipFranka(Robot):
                 "The cameras of this robot are not calibrated.",
                 got=f"no complete {self.calibration_file}",
                 allowed="a calibration of every camera with depth",
-                hint="adamanip calibrate",
+                hint=f"adamanip calibrate views --record robot.json --out {shlex.quote(str(self.calibration_file))}",
             )
         self._read_calibrations()
 
@@ -111,20 +115,20 @@ class AdamanipFranka(Robot):
 
         Raises:
             RobotError: already connected, the arm or a camera does not answer, or the hand is outside the box.
-            ConfigurationError: a required option is missing.
+            ConfigurationError: a required option is missing, a camera cannot be used, or the policy of this command
+                needs the other execution mode.
         """
         if self._client is not None:
             raise RobotError(f"{self} is connected already.")
+        check_caller(self.config)
+        check_cameras(self.cameras, key_frames=self.config.execution == Execution.KEYFRAME)
         limits = self._safety_limits()
         self._client = self._make_client()
-        try:
+        with closing_on_error(self.disconnect):
             details = self._client.connect()
             self._open_session(limits, details)
             for camera in self.cameras.values():
                 camera.connect()
-        except BaseException:
-            self.disconnect()
-            raise
 
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         self._connected_at = time.perf_counter()
@@ -135,7 +139,8 @@ class AdamanipFranka(Robot):
             self._session.details[LOCKSTEP_DT] = 1 / fps
             for handler in logging.getLogger().handlers:
                 handler.addFilter(self._slow_loop)
-        execution, time_limit = Execution(self.config.execution), self.config.motion_time
+        self._session.execution = execution = Execution(self.config.execution)
+        time_limit = self.config.motion_time
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), execution, time_limit)
         if self.config.recover_on_connect:
             self._driver.recover()
@@ -175,17 +180,19 @@ class AdamanipFranka(Robot):
         return ServerOptions(config.state_age, config.command_age, lockstep_fps, self._safety_limits())
 
     def disconnect(self) -> None:
-        """Stops the arm and ends its process within 2 s, then stops the cameras. Idempotent."""
+        """Stops the arm and ends its process within 2 s, then stops all cameras. Idempotent.
+
+        If cameras fail, the first error is raised after all of them were stopped.
+        """
         client, self._client, self._driver = self._client, None, None
         if client is None:
             return
-        client.close()
+        close_all([client.close, self._close_session, *(partial(_stop, camera) for camera in self.cameras.values())])
+
+    def _close_session(self) -> None:
         for handler in logging.getLogger().handlers:
             handler.removeFilter(self._slow_loop)
         ROBOTS.close(self._registry_id)
-        for camera in self.cameras.values():
-            if camera.is_connected:
-                camera.disconnect()
 
     @property
     def _registry_id(self) -> str:
@@ -234,3 +241,8 @@ class AdamanipFranka(Robot):
     def recover(self) -> None:
         """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
         self._motion.recover()
+
+
+def _stop(camera: Camera) -> None:
+    if camera.is_connected:
+        camera.disconnect()

@@ -30,6 +30,7 @@ def main(socket: int, memory: int, factory_name: str) -> int:
         factory_name: ``module:function`` of a `BackendFactory`. The module registers its options as a message.
     """
     connection = Connection(socket)
+    served = None
     try:
         factory: BackendFactory = pkgutil.resolve_name(factory_name)
         start = decode(connection.recv_bytes(), Start)
@@ -39,6 +40,8 @@ def main(socket: int, memory: int, factory_name: str) -> int:
             served.backend.connect()
     except Exception as error:
         _tell(connection, Reply(0, _in_words(error)))
+        if served is not None:
+            served.backend.close()
         return 1
     try:
         _tell(connection, Reply(0, None, served.describe()))

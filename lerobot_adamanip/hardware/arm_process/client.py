@@ -130,7 +130,8 @@ class ArmClient:
         if connection is not None:
             with contextlib.suppress(OSError):  # without the lock, since another thread may wait for an answer
                 self._write(Request(0, "shutdown"))
-            connection.close()  # sends end of file to a process that reads no messages
+            with contextlib.suppress(OSError):
+                connection.close()  # sends end of file to a process that reads no messages
         if process is not None:
             try:
                 process.wait(CLOSE_TIME)

@@ -118,6 +118,6 @@ def _checked(path: Path, parse: Callable[[], Any]) -> dict[str, Any]:
             "No valid camera calibration.",
             got=f"{path}: {error}",
             allowed=f"a file of version {VERSION} that `adamanip calibrate` wrote",
-            hint="adamanip calibrate",
+            hint="adamanip calibrate views --record robot.json --out FILE",
         ) from error
     return cameras

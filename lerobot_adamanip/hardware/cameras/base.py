@@ -14,6 +14,7 @@ from lerobot.cameras.configs import CameraConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.camera_frames import Frame
+from lerobot_adamanip.hardware.closing import closing_on_error
 from lerobot_adamanip.util.errors import RobotError
 
 MAX_AGE = 0.5
@@ -145,10 +146,10 @@ class FrameReader:
         return self._given(self.frames.next(timeout), timeout)
 
     def _given(self, frame: Frame | None, timeout: float) -> Frame:
-        if frame is not None:
-            return frame
         if self.frames.failure is not None:
             raise self._failed()
+        if frame is not None:
+            return frame
         raise self._error("It is frozen.", f"no new frame for {timeout:.2f} s", "frames at its rate")
 
     def _color(self, frame: Frame) -> NDArray[np.uint8]:
@@ -227,18 +228,16 @@ class ThreadedCamera(FrameReader, Camera):
         """Opens the device and starts the thread. With ``warmup``, waits for the first frame. Raises `RobotError`."""
         if self.is_connected:
             raise self._error("It is connected already.", "a second connect()", "one, or disconnect() before")
-        self._open()
-        self.frames.clear()
-        self._stop = threading.Event()
-        name = f"camera {self.name}"
-        self._thread = threading.Thread(target=self._deliver, args=(self._take, self._stop), name=name, daemon=True)
-        self._thread.start()
-        if warmup:
-            try:
+        with closing_on_error(self.disconnect):
+            self._open()
+            self.frames.clear()
+            self._stop = threading.Event()
+            name = f"camera {self.name}"
+            thread = threading.Thread(target=self._deliver, args=(self._take, self._stop), name=name, daemon=True)
+            thread.start()
+            self._thread = thread
+            if warmup:
                 self.frame_after(float("-inf"), timeout=self.warmup_seconds)
-            except BaseException:
-                self.disconnect()
-                raise
 
     def disconnect(self) -> None:
         """Stops the thread and closes the device. Idempotent."""
@@ -246,5 +245,5 @@ class ThreadedCamera(FrameReader, Camera):
         self._stop.set()
         if thread is not None and thread is not threading.current_thread():
             thread.join(STOP_TIMEOUT)
-        self._close()
         self.frames.clear()
+        self._close()

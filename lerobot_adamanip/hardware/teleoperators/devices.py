@@ -50,15 +50,15 @@ class AdamanipGamepad(JogTeleop):
             raise RobotError(
                 "The gamepad needs pygame.", got=error, allowed="pygame", hint="pip install 'lerobot[gamepad]'"
             ) from None
+        self._pygame = pygame
         pygame.init()
         pygame.joystick.init()
         found = pygame.joystick.get_count()
         if found <= self.config.index:
-            pygame.quit()
             raise RobotError(
                 "There is no such gamepad.", got=f"index {self.config.index}", allowed=f"{found} connected"
             )
-        self._pygame, self._pad = pygame, pygame.joystick.Joystick(self.config.index)
+        self._pad = pygame.joystick.Joystick(self.config.index)
         self._pad.init()
         self._down: set[int] = set()
 

@@ -14,6 +14,7 @@ from lerobot.teleoperators.teleoperator import Teleoperator
 from lerobot_adamanip.contract.rotations import Array, matrix_from_rotation_vector, pose_from_vector, pose_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.closing import closing_on_error
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.target_geometry import Target
@@ -61,7 +62,8 @@ class TcpTeleop(Teleoperator):
         """Opens the device. Raises `RobotError` if the device or its SDK is missing."""
         if self.is_connected:
             raise RobotError(f"Teleoperator {self.name} is connected already.")
-        self._open()
+        with closing_on_error(self._close):
+            self._open()
         self.is_connected = True
         self.reset()
 
@@ -131,7 +133,7 @@ class TcpTeleop(Teleoperator):
     # Subclasses ------------------------------------------------------------------------------------------------------
 
     def _open(self) -> None:
-        """Opens the device, if any. Raises `RobotError`."""
+        """Opens the device, if any. Raises `RobotError`; then `_close` is called."""
 
     def _close(self) -> None:
         """Closes the device, if any. Idempotent."""

@@ -63,7 +63,7 @@ class _Recorded:
                 "These demonstrations do not show failed and successful tries.",
                 got=f"{int(tried.sum())} tries, {int((moved[tried] == 0).sum())} of them failed",
                 allowed="demonstrations with failed and with successful tries",
-                hint="adamanip collect --expert adaptive",
+                hint="adamanip collect DIR --category safe --expert adaptive",
             )
         before, command, after = (np.stack(each) for each in zip(*self.poses, strict=True))
         return InteractionLabels(before, command, after, opening, moved, tried, history, candidates)

@@ -98,7 +98,7 @@ class CloudPolicyConfig(PreTrainedConfig):
                 f"{self.type} misses an input.",
                 got=", ".join(inputs) or "no inputs",
                 allowed=f"a dataset with {', '.join(keys)}",
-                hint="adamanip collect; of a robot's recording, adamanip keyframes RECORDING --out DATASET",
+                hint="adamanip collect DIR --category safe; or adamanip keyframes RECORDING --out DATASET",
             )
         cloud = tuple(inputs[POINT_CLOUD].shape)
         if len(cloud) == 1 and cloud[0] % 3 == 0:
@@ -119,7 +119,7 @@ class CloudPolicyConfig(PreTrainedConfig):
                 f"{self.type} needs actions that are tool poses.",
                 got=f"action {tuple(self.action_feature.shape)}, named as poses: {self.pose_layout}",
                 allowed="the contract's ten pose values, in action and in state",
-                hint="adamanip collect, or --policy.type=dp3_adaptive --policy.preset=dp3",
+                hint="adamanip collect DIR --category safe, or --policy.type=dp3_adaptive --policy.preset=dp3",
             )
 
     def require_action(self) -> None:
@@ -129,7 +129,7 @@ class CloudPolicyConfig(PreTrainedConfig):
                 "The dataset has no actions.",
                 got="no column `action`",
                 allowed="demonstrations",
-                hint="adamanip collect",
+                hint="adamanip collect DIR --category safe",
             )
 
 

@@ -77,11 +77,22 @@ class DepthToCloudStep(SameFeaturesStep):
         key = image_column(self.camera) + DEPTH_SUFFIX
         if observation is None or observation.get(POINT_CLOUD) is not None or observation.get(key) is None:
             return transition
+        self._check_execution()
         picture = observation[key]
         cloud = self._clouds(picture, observation.get(STATE))
         kept = {name: value for name, value in observation.items() if not is_image_column(name)}
         kept[POINT_CLOUD] = cloud.to(picture.device)
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
+
+    @staticmethod
+    def _check_execution() -> None:
+        """Raises `ConfigurationError` if the connected robot executes a stream: these policies predict key frames."""
+        from lerobot_adamanip.hardware.adamanip_franka.execution_check import require_execution
+        from lerobot_adamanip.hardware.arm import Execution
+        from lerobot_adamanip.hardware.robot_registry import ROBOTS
+
+        session = ROBOTS.find()
+        require_execution(Execution.KEYFRAME, None if session is None else session.execution, "this policy")
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
         """Converts depth (..., H, W, 1) or (..., 1, H, W) [mm] to (..., N, 3) [m]; adds a missing batch dimension."""
@@ -132,7 +143,7 @@ class DepthToCloudStep(SameFeaturesStep):
             got=got,
             allowed=f"a calibration file of the robot with camera {self.camera}, or one named in the checkpoint's "
             "policy_preprocessor.json, step adamanip_depth_to_cloud, field calibration",
-            hint="adamanip calibrate",
+            hint="adamanip calibrate views --record robot.json --out FILE",
         )
 
     def get_config(self) -> dict[str, Any]:

@@ -47,7 +47,7 @@ def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[An
             "The demonstrations lack columns that labels are computed from.",
             got=f"no {', '.join(missing)}",
             allowed="the columns of this project's contract, see docs/dataset_columns.md",
-            hint="adamanip collect",
+            hint="adamanip collect DIR --category safe",
         )
     table = source.to_table(columns=sorted({*keys, INDEX})).sort_by(INDEX)
     columns = {key: _array(table, key) for key in keys}

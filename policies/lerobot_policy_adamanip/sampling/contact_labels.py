@@ -54,7 +54,7 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
             "The demonstrations contain no contact.",
             got=f"{len(demonstrations)} rows without a contact",
             allowed="episodes in which an open hand closes at a part",
-            hint="adamanip collect",
+            hint="adamanip collect DIR --category safe",
         )
     return ContactLabels(labels, np.stack(grasps).reshape(-1, ACTION_DIM), motions_in_contact(demonstrations))
 
