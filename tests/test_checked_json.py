@@ -6,11 +6,13 @@ import contextlib
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_adamanip.util import json_fields as checked
+from lerobot_adamanip.util.errors import DatasetError
 
 CHECK = checked.table(
     {
@@ -84,3 +86,30 @@ JSON = st.recursive(
 def test_whatever_comes_it_is_taken_or_refused(content: Any) -> None:
     with contextlib.suppress(ValueError):
         assert set(CHECK("it", content)) == set(GOOD)
+
+
+@pytest.mark.parametrize("deep", ["[" * 200_000, '{"a":' * 200_000])
+def test_no_reader_of_others_files_breaks_on_deep_json(tmp_path: Path, deep: str) -> None:
+    from safetensors.numpy import save_file
+
+    from lerobot_adamanip.assets import AssetSource
+    from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
+    from lerobot_adamanip.datasets.reading import load_check
+    from lerobot_adamanip.datasets.shards import read_record, read_shard
+
+    for name, file in (("one", "meta.json"), ("two", "adamanip.json")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "mobility.urdf").write_text("<robot/>")
+        (tmp_path / name / file).write_text(deep)
+    assert [report.usable for report in AssetSource(tmp_path).check("safe")] == [False, False]
+    (tmp_path / "meta").mkdir()
+    for name in ("stats", "info"):
+        (tmp_path / "meta" / f"{name}.json").write_text(deep)
+    with pytest.raises(ValueError, match="deep"):
+        leave_poses_unscaled(tmp_path)
+    with pytest.raises(DatasetError, match="deep"):
+        load_check(tmp_path)
+    save_file({"a": np.zeros(1)}, tmp_path / "shard.safetensors", metadata={"record": deep})
+    assert read_record(tmp_path / "shard.safetensors") is None
+    with pytest.raises(DatasetError, match="recorded episode"):
+        read_shard(tmp_path / "shard.safetensors")

@@ -116,6 +116,15 @@ def test_an_impossible_number_of_points_is_refused(wanted: int) -> None:
         check_num_points(wanted)
 
 
+def test_a_column_holds_two_points_or_more() -> None:
+    """As 3 numbers a single point could not be told from points (N, 3)."""
+    with pytest.raises(ConfigurationError, match=r"2 \.\.\. 16384"):
+        check_num_points(1)
+    for batch in (2, 3, 7):
+        flat = np.arange(batch * 6, dtype=np.float32).reshape(batch, 6)
+        assert as_points(flat).shape == (batch, check_num_points(2), 3)
+
+
 @fast
 @given(seeds)
 def test_the_crop_keeps_exactly_what_lies_in_the_box(seed: int) -> None:

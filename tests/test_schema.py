@@ -16,7 +16,7 @@ DIMS = {schema.ACTION: 10, schema.STATE: 24}
 
 def statistics(dims: dict[str, int], seed: int = 0) -> dict[str, dict[str, np.ndarray]]:
     rng = np.random.default_rng(seed)
-    names = ("min", "max", "mean", "std", "q01", "q99")
+    names = ("min", "max", "mean", "std", "q01", "q10", "q50", "q90", "q99")
     return {key: {**{n: rng.normal(size=d) for n in names}, "count": np.array([7])} for key, d in dims.items()}
 
 
@@ -79,8 +79,9 @@ def test_rotation_and_gripper_get_their_true_range_and_nothing_else_changes(key:
     stats = statistics(DIMS)
     fixed = schema.fix_pose_statistics(stats)
     others = [*range(3), *range(10, DIMS[key])]
-    expected = {"min": -1.0, "max": 1.0, "mean": 0.0, "std": 1.0, "q01": -1.0, "q99": 1.0}
-    for name, value in expected.items():
+    lower, middle = dict.fromkeys(("min", "q01", "q10"), -1.0), dict.fromkeys(("mean", "q50"), 0.0)
+    upper = dict.fromkeys(("max", "q90", "q99", "std"), 1.0)
+    for name, value in {**lower, **middle, **upper}.items():
         assert np.all(fixed[key][name][3:10] == value)
         assert np.array_equal(fixed[key][name][others], stats[key][name][others])
     assert fixed[key]["count"] is stats[key]["count"]

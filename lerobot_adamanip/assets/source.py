@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 import os
 import re
 import shlex
@@ -17,6 +16,7 @@ from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import URDF_NAME
 from lerobot_adamanip.objects.base import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError, listed, require_choice
+from lerobot_adamanip.util.json_fields import read
 
 PlacementCheck = Callable[[ArticulatedObject], str]
 """Returns why the arm's scene cannot place an object, or an empty text. The simulator's package provides one."""
@@ -265,7 +265,7 @@ def _category_of(folder: Path) -> str | None:
 def _json_value(path: Path, key: str) -> object:
     # A broken file raises its error when the object is loaded; it is ignored here.
     try:
-        value = json.loads(path.read_text(encoding="utf-8"))
+        value = read(path)
     except (OSError, ValueError):
         return None
     return value.get(key) if isinstance(value, dict) else None

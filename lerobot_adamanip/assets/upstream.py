@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -23,6 +22,7 @@ from lerobot_adamanip.assets.urdf import Urdf, UrdfJoint
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose, any_roll, facing, from_above
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.json_fields import read
 
 MAX_POINT_BYTES = 1_000_000
 PART_FROM_OBJECT: NDArray[np.float64] = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
@@ -134,7 +134,7 @@ def read_point(path: Path) -> NDArray[np.float64]:
 
 def _stored_point(path: Path) -> Any:
     if path.suffix == ".json":
-        return json.loads(path.read_text(encoding="utf-8"))["goal_pos"]
+        return read(path, MAX_POINT_BYTES)["goal_pos"]
     with path.open("rb") as stream:
         if stream.read(6) == b"\x93NUMPY":
             return np.load(path, allow_pickle=False)

@@ -23,7 +23,8 @@ _STAGES = {"rows": "rows checked", "frames": "frames decoded", "replay": "episod
 class Check:
     """Checks a dataset: files, columns, counts, rows, videos, statistics and collection metadata.
 
-    Exit status: 0 without findings, 1 with findings, 2 without a dataset. Only --repair changes the dataset.
+    Exit status: 0 without findings or with warnings only, 1 with findings, 2 without a dataset. Only --repair changes
+    the dataset.
     """
 
     root: DatasetFolder
@@ -71,7 +72,7 @@ class Check:
         report = check_replays(
             self.root, chosen, make_keyframe_env, tolerance=self.tolerance, assets=self.assets, progress=progress
         )
-        return replace(result, findings=report.findings, counts=report.counts)
+        return replace(result, findings=result.findings + report.findings, counts=result.counts + report.counts)
 
 
 @dataclass
@@ -98,6 +99,7 @@ def _lines(result: Report) -> Iterator[str]:
         yield from map(str, of_kind[:_SHOWN])
         if count > _SHOWN:
             yield f"{kind}: {count - _SHOWN} more"
-    total = sum(result.counts.values())
-    verdict = "clean" if result.clean else f"{total} finding{'s' * (total != 1)}"
+    total, warnings = result.total(fails=True), result.total(fails=False)
+    verdict = f"{total} finding{'s' * (total != 1)}" if total else "clean"
+    verdict += f", {warnings} warning{'s' * (warnings != 1)}" if warnings else ""
     yield f"{result.root}: {result.episodes} episodes, {result.rows} rows: {verdict}"

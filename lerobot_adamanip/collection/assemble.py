@@ -13,11 +13,11 @@ from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards.collected import dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.encoding import EpisodeFile, PreparedEpisode, preparing_session
+from lerobot_adamanip.datasets.encoding import EpisodeFile, Features, PreparedEpisode, preparing_session
 from lerobot_adamanip.datasets.manifest import Manifest, write_manifest
 from lerobot_adamanip.datasets.reading import JSON_COLUMNS, read_back
 from lerobot_adamanip.datasets.shards import read_shard
-from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset, to_json
 from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
@@ -73,7 +73,7 @@ def assemble(
     dataset = _empty(folder, contents)
     records, lengths = append_shards(dataset, contents.shards, progress, workers)
     files.crash_point("dataset written")
-    _describe(folder, contents, records)
+    _describe(folder, contents, records, dataset.meta.features)
     card = dataset_card(folder, name, contents.repo_id, contents.manifest.spec.environment.assets)
     (folder / "README.md").write_text(card)
     files.crash_point("dataset described")
@@ -147,8 +147,8 @@ def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict
         yield episode.record, len(episode)
 
 
-def _describe(root: Path, contents: Contents, records: list[dict[str, Any]]) -> None:
-    sort_statistics(root)
+def _describe(root: Path, contents: Contents, records: list[dict[str, Any]], features: Features) -> None:
+    write_statistics(root, features)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [to_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, read_manifest
-from lerobot_adamanip.datasets.reading import JSON_COLUMNS, episode_table, load_check
+from lerobot_adamanip.datasets.reading import JSON_COLUMNS, load_check
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.start_column import read_start
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
@@ -69,8 +69,7 @@ class CollectedDataset:
     @cached_property
     def rows(self) -> list[dict[str, Any]]:
         """One metadata row per episode, as stored, without statistics."""
-        rows: list[dict[str, Any]] = episode_table(self.source.root).to_pylist()
-        return rows
+        return [self.source.row(number) for number in range(self.source.info["total_episodes"])]
 
     def episode(self, number: int) -> CollectedEpisode:
         """Reads an episode; raises `DatasetError` for invalid values."""
@@ -85,7 +84,7 @@ class CollectedDataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {number} of {self.source.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint="try another episode, or collect the dataset again",
+                hint="another episode; adamanip check lists the damage",
             ) from error
 
     def _record(self, row: dict[str, Any]) -> dict[str, Any]:

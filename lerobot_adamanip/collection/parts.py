@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import json
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from lerobot_adamanip.datasets.shards import read_record, write_shard_bytes
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.jobs import JobResult
+from lerobot_adamanip.util.json_fields import read
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ def given_up(paths: CollectionPaths, items: Iterable[EpisodeSpec], max_attempts:
     results = []
     for item in items:
         with contextlib.suppress(OSError, ValueError, TypeError):
-            attempts = [Attempt(**each) for each in json.loads(attempts_file(paths, item).read_text())]
+            attempts = [Attempt(**each) for each in read(attempts_file(paths, item))]
             if len(attempts) >= max_attempts:
                 results.append(JobResult(item, ItemOutcome(tuple(attempts))))
     return results

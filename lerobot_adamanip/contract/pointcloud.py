@@ -13,6 +13,8 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 Cloud = NDArray[np.float32]
 
+MIN_POINTS, MAX_POINTS = 2, 16_384
+"""Allowed numbers of points of a cloud. One point, stored as 3 numbers, could not be told from points (N, 3)."""
 KDTREE_HEIGHT = 6
 """Bucket height of the k-d line sampler. At about 2 * 10^4 points it is 10 % faster than 5, the QuickFPS paper's value.
 The samples are equal unless two points are equally far."""
@@ -40,12 +42,15 @@ class Workspace:
 DEFAULT_WORKSPACE = Workspace()
 
 
-def check_num_points(num_points: int) -> int:
+def check_num_points(num_points: int, smallest: int = MIN_POINTS) -> int:
     """Returns ``num_points`` if it is allowed; raises `ConfigurationError` otherwise."""
-    if 1 <= num_points <= 16_384:
+    if smallest <= num_points <= MAX_POINTS:
         return num_points
     raise ConfigurationError(
-        "Wrong number of points in the cloud.", got=num_points, allowed="1 ... 16384", hint="--num-points 1024"
+        "Wrong number of points in the cloud.",
+        got=num_points,
+        allowed=f"{smallest} ... {MAX_POINTS}",
+        hint="--num-points 1024",
     )
 
 
@@ -87,7 +92,7 @@ def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     equal samples: the first point depends on the points alone. A cloud with fewer points is repeated from its start. An
     empty cloud becomes zeros: a camera that sees nothing must not end an episode.
     """
-    check_num_points(num_points)
+    check_num_points(num_points, smallest=1)
     if len(points) == 0:
         return np.zeros((num_points, 3), np.float32)
     wanted = min(num_points, len(points))

@@ -74,6 +74,10 @@ Statistics = dict[str, dict[str, NDArray[Any]]]
 
 FIXED_RANGE_DIMS = (*range(3, 9), GRIPPER_DIM)
 """Dimensions of a pose whose range is known: rotation 6D and gripper statistics are fixed to [-1, 1]."""
+FIXED_STATISTICS = {
+    "min": -1.0, "q01": -1.0, "q10": -1.0, "mean": 0.0, "q50": 0.0, "q90": 1.0, "q99": 1.0, "max": 1.0, "std": 1.0,
+}  # fmt: skip
+"""Values of these statistics."""
 
 
 def dataset_features(
@@ -105,16 +109,16 @@ def dataset_features(
 def fix_pose_statistics(stats: Statistics) -> Statistics:
     """Returns dataset statistics with rotation 6D and gripper ranges set to [-1, 1] in state and action.
 
-    For normalisation only; ``meta/stats.json`` keeps the measured statistics. LeRobot divides by the measured range or
-    deviation, so a dimension that hardly varies in the demonstrations would explode. The true range of these dimensions
-    is known and needs no scaling.
+    LeRobot divides by the measured range or deviation, so a dimension that hardly varies in the demonstrations would
+    explode. The true range of these dimensions is known and needs no scaling: then none of LeRobot's normalisations (by
+    range, deviation, or quantiles 1 % to 99 % and 10 % to 90 %) changes them.
     """
     fixed = {key: dict(value) for key, value in stats.items()}
     dims = list(FIXED_RANGE_DIMS)
     for key in (STATE, ACTION):
         if key not in fixed:
             continue
-        for name, value in (("min", -1.0), ("max", 1.0), ("mean", 0.0), ("std", 1.0), ("q01", -1.0), ("q99", 1.0)):
+        for name, value in FIXED_STATISTICS.items():
             if name in fixed[key]:
                 array = np.array(fixed[key][name], copy=True)
                 array[dims] = value

@@ -72,7 +72,7 @@ def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
 
 def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:
     path = paths.attempts / item.file_name.replace(".safetensors", ".json")
-    listed: list[dict[str, Any]] = json.loads(path.read_text()) if path.exists() else []
+    listed: list[dict[str, Any]] = json_fields.read(path) if path.exists() else []
     return listed
 
 
@@ -123,7 +123,10 @@ def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list
     for name in sorted({name for hidden, _ in listed for name in hidden}):
         mine = [(hidden[name], attempt) for hidden, attempt in listed if name in hidden]
         values = [value for value, _ in mine]
-        middle = sorted(values)[len(values) // 2] if any(isinstance(value, float) for value in values) else None
+        is_continuous = any(isinstance(value, float) for value in values) and not any(
+            isinstance(value, str) for value in values
+        )
+        middle = sorted(values)[len(values) // 2] if is_continuous else None
         groups: dict[str, list[AttemptRecord]] = {}
         for value, attempt in mine:
             label = f"= {json.dumps(value)}" if middle is None else f"{'<' if value < middle else '>='} {middle:.3g}"

@@ -18,16 +18,17 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.appending import append_rows, can_append
 from lerobot_adamanip.datasets.cutting import cut_episode
-from lerobot_adamanip.datasets.encoding import quieten
+from lerobot_adamanip.datasets.description import plain_feature
+from lerobot_adamanip.datasets.encoding import quieten, video_encoder
 from lerobot_adamanip.datasets.reading import as_typed, camera_of, read_back, workspace_of
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.statistics import sort_statistics
-from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, workspace_info
+from lerobot_adamanip.datasets.statistics import write_statistics
+from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_adamanip.util.json_fields import parse, read
+from lerobot_adamanip.util.json_fields import read
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished episodes and the total number."""
@@ -76,20 +77,18 @@ def compose(
 
 def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
     import lerobot
-    from lerobot.configs.video import encoder_config_from_video_info
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
     from lerobot.utils.constants import DEFAULT_FEATURES
 
     quieten()
-    own = {key: feature for key, feature in info["features"].items() if key not in DEFAULT_FEATURES}
-    videos = [feature.get("info") for feature in own.values() if feature["dtype"] == "video"]
+    own = {key: plain_feature(feature) for key, feature in info["features"].items() if key not in DEFAULT_FEATURES}
     dataset = LeRobotDataset.create(
         repo_id=repo_id,
         fps=info["fps"],
-        features={key: {**feature, "shape": tuple(feature["shape"])} for key, feature in own.items()},
+        features=own,
         root=out,
         robot_type=info.get("robot_type"),
-        rgb_encoder=encoder_config_from_video_info(videos[0]) if videos else None,
+        rgb_encoder=video_encoder(),
         video_backend="pyav",
         video_files_size_in_mb=info.get("video_files_size_in_mb"),
         data_files_size_in_mb=info.get("data_files_size_in_mb"),
@@ -150,11 +149,11 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
 
 def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
-    sort_statistics(out)
+    write_statistics(out, pieces[0][0].info["features"])
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
     add_episode_columns(out, columns)
-    if cameras := _cameras(columns):
+    if cameras := camera_records(columns):
         files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
     first = pieces[0][0]
     if is_dense(first.info["features"]):
@@ -162,16 +161,6 @@ def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     if selection is not None:
         write_selection(out, selection)
         _copy(first.root, out, _OF_COLLECTION)
-
-
-def _cameras(columns: pa.Table) -> list[dict[str, Any]]:
-    """Returns each episode's camera parameters; empty if those of any episode are unknown."""
-    texts = columns["camera"].to_pylist() if "camera" in columns.column_names else []
-    try:
-        cameras = [parse(text) for text in texts]
-    except (TypeError, ValueError):
-        return []
-    return cameras if all(isinstance(each, dict) for each in cameras) else []
 
 
 def _require_same_calibrations(sources: Sequence[Source]) -> None:

@@ -36,6 +36,8 @@ class Condition:
         found: Any = facts[self.column]
         if found is None:
             return False
+        if any(isinstance(value, str) for value in self.values):
+            found = as_text(found)
         if self.operation in _ORDERED:
             return _ORDERED[self.operation](found, self.values[0])
         equal = found in self.values or any(first <= found < end for first, end in self.ranges)
@@ -98,21 +100,30 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
         near = next(begun, None) or nearest(word, names)
         hint = f"--where '{near}{rest}'" if near else "--where 'success=true'"
         raise ConfigurationError("Episodes lack this column.", got=repr(column), allowed=", ".join(names), hint=hint)
-    return float if kinds == {int, float} else kinds.pop() if len(kinds) == 1 else str
+    if len(kinds) == 1:
+        return kinds.pop()
+    # Merged datasets may store a value as true and as 1, or as a number and as text.
+    return str if str in kinds else float
 
 
 def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]) -> Value:
     try:
         if kind is bool:
             return _WORDS[word.lower()]
+        if kind is float and word.lower() in _WORDS:
+            return _WORDS[word.lower()]
         return float(word) if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind(word)
     except (KeyError, ValueError):
         raise _unfit(text, column, facts, _range(column, facts)) from None
 
 
+def as_text(value: Value) -> str:
+    """Returns a value as it is typed in a condition."""
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
 def _unfit(text: str, column: str, facts: Sequence[Facts], allowed: str) -> ConfigurationError:
-    example = next(each[column] for each in facts if each[column] is not None)
-    shown = str(example).lower() if isinstance(example, bool) else example
+    shown = as_text(next(value for each in facts if (value := each[column]) is not None))
     return ConfigurationError(
         "The condition does not fit its column.", got=repr(text), allowed=allowed, hint=f"--where '{column}={shown}'"
     )
@@ -125,4 +136,4 @@ def _range(column: str, facts: Sequence[Facts]) -> str:
         return "true or false" if len(set(values)) == 2 else f"always {str(values[0]).lower()}"
     if all(isinstance(value, int | float) for value in values):
         return f"{min(values):g} to {max(values):g}"
-    return listed(sorted({str(value) for value in values}))
+    return listed(sorted({as_text(value) for value in values}))

@@ -8,19 +8,20 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.datasets.encoding import ENCODER_THREADS
-from lerobot_adamanip.datasets.reading import VIDEO_PATH
+from lerobot_adamanip.datasets.description import VIDEO_PATH
+from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, encoder_like
 from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.video import open_mp4
 
 
 def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[str, Any], fps: int) -> bytes:
     """Returns a video file with one episode's frames; ``feature`` describes the column, ``row`` the episode.
 
     Packets are copied without loss. If the episode does not start with a key frame, as after LeRobot's own cutting, its
-    frames are re-encoded with the dataset's settings.
+    frames are re-encoded with the dataset's settings, see `encoding.encoder_like`.
 
     Raises:
-        DatasetError: the video has too few frames, or depth would be re-encoded.
+        DatasetError: the video has too few frames, or would be re-encoded and is depth or of an unknown codec.
     """
     chunk, file, begin, end = (
         row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
@@ -47,7 +48,7 @@ def _copied(path: Path, out: Path, span: tuple[int, int], fps: int) -> int | Non
     import av
 
     first, end = span
-    with av.open(str(path)) as source, av.open(str(out), "w", options={"movflags": "faststart"}) as target:
+    with open_mp4(path) as source, av.open(str(out), "w", options={"movflags": "faststart"}) as target:
         stream: Any = source.streams.video[0]
         copy = target.add_stream_from_template(stream)
         copy.time_base = stream.time_base
@@ -74,8 +75,6 @@ def _copied(path: Path, out: Path, span: tuple[int, int], fps: int) -> int | Non
 
 
 def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, feature: Mapping[str, Any]) -> int:
-    import av
-    from lerobot.configs.video import encoder_config_from_video_info
     from lerobot.datasets.video_utils import encode_video_frames
 
     if (feature.get("info") or {}).get("is_depth_map"):
@@ -88,10 +87,10 @@ def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, featur
     folder = out.with_suffix("")
     folder.mkdir()
     frame: Any
-    with av.open(str(path)) as container:
+    with open_mp4(path) as container:
         for number, frame in enumerate(itertools.islice(container.decode(video=0), *span)):
             frame.to_image().save(folder / f"frame-{number:06d}.png")
     if found := len(list(folder.iterdir())):
-        encoder = encoder_config_from_video_info(dict(feature.get("info") or {}))
+        encoder = encoder_like(feature.get("info") or {})
         encode_video_frames(folder, out, fps, video_encoder=encoder, encoder_threads=ENCODER_THREADS, overwrite=True)
     return found

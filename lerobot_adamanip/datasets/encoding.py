@@ -17,6 +17,8 @@ import pyarrow as pa
 
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_shard
 from lerobot_adamanip.datasets.statistics import compute_statistics
+from lerobot_adamanip.util import json_fields
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.jobs import Heartbeat
 
 Features = Mapping[str, Mapping[str, Any]]
@@ -66,6 +68,41 @@ def video_encoder() -> Any:
     from lerobot.configs.video import RGBEncoderConfig
 
     return RGBEncoderConfig(**VIDEO)
+
+
+_CODECS = {"h264": "h264", "hevc": "hevc", "av1": "libsvtav1"}
+"""Codec of a video -> its encoder."""
+_WORDS = ("ultrafast", "superfast", "veryfast", "faster", "fast", "medium", "slow", "slower", "veryslow")
+_ENCODER_OPTIONS: Mapping[str, json_fields.Check] = {
+    "pix_fmt": json_fields.choice(("yuv420p", "yuv422p", "yuv444p")),
+    "g": json_fields.integer(1, 1000),
+    "crf": json_fields.number(0, 63),
+    "preset": json_fields.either(json_fields.integer(0, 13), json_fields.choice(_WORDS)),
+}
+"""Options of a dataset's description that an encoder gets, and their values; no other option or value is passed on."""
+
+
+def encoder_like(info: Mapping[str, Any]) -> Any:
+    """Returns LeRobot's configuration of an encoder for frames that join the video of a description.
+
+    Raises:
+        DatasetError: no encoder for this codec is allowed or installed.
+    """
+    from lerobot.configs.video import RGBEncoderConfig
+
+    codec, options = str(info.get("video.codec")), {}
+    for name, check in _ENCODER_OPTIONS.items():
+        with contextlib.suppress(ValueError):
+            options[name] = check(name, info.get(f"video.{name}"))
+    try:
+        return RGBEncoderConfig(vcodec=_CODECS[codec], **options)
+    except (KeyError, ValueError) as error:
+        raise DatasetError(
+            "A video cannot be re-encoded.",
+            got=f"codec {codec!r:.40}, {options}",
+            allowed=f"codec {', '.join(_CODECS)}",
+            hint="the dataset as it was before editing: its videos are copied",
+        ) from error
 
 
 @contextlib.contextmanager

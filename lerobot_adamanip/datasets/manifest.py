@@ -16,7 +16,7 @@ from typing import Any
 from lerobot_adamanip.assets import AssetSource, is_asset_id, parse_asset_id
 from lerobot_adamanip.catalog import parse_object_id
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
     MAX_EPISODES,
@@ -57,7 +57,6 @@ from lerobot_adamanip.util.json_fields import (
 
 FORMAT = 3
 """Version of the manifest and of the columns beside it."""
-MAX_POINTS = 16_384
 HIDDEN_STATE: Check = mapping(
     text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
 )
@@ -234,7 +233,7 @@ def _environment(name: str, value: object) -> dict[str, Any]:
 _VERSIONS = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a version"), 64)
 _CORNER = listing(number(-10.0, 10.0), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
-    "num_points": integer(1, MAX_POINTS),
+    "num_points": integer(MIN_POINTS, MAX_POINTS),
     "image_size": integer(*IMAGE_SIZES),
     "observe_images": flag,
     "cloud_source": choice(CLOUD_SOURCES),

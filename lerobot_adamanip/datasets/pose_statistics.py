@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POSE_NAMES, STATE, Statistics, fix_pose_statistics
+from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES, read_info
+from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.hardware.features import names_of
 from lerobot_adamanip.util import files
+from lerobot_adamanip.util.json_fields import read
 
 
 def unscaled_poses(stats: Statistics, features: Mapping[str, Any]) -> Statistics:
@@ -34,12 +35,10 @@ def leave_poses_unscaled(root: Path | str) -> None:
 
     Raises:
         OSError: there is no ``meta/stats.json`` or no ``meta/info.json``.
+        ValueError: one of them is damaged.
     """
-    meta = Path(root) / "meta"
-    path = meta / "stats.json"
-    measured = json.loads(path.read_text(encoding="utf-8"))
-    features = json.loads((meta / "info.json").read_text(encoding="utf-8"))["features"]
-    fixed = unscaled_poses(measured, features)
-    plain = {key: {name: np.asarray(value).tolist() for name, value in each.items()} for key, each in fixed.items()}
+    path = Path(root) / "meta" / "stats.json"
+    measured = read(path, MAX_STATISTICS_BYTES)
+    plain = plain_statistics(unscaled_poses(measured, read_info(Path(root))["features"]))
     if plain != measured:
         files.write_atomically(path, (json.dumps(plain, indent=4) + "\n").encode())

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +14,21 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, manifest_path
+from lerobot_adamanip.datasets.description import (
+    VERSION,
+    OtherFormatError,
+    UntrustedValueError,
+    check_info,
+    check_video,
+)
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, is_dense
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import parse, read
+from lerobot_adamanip.util.video import open_mp4
 
-DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
-VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
-"""LeRobot's templates. Datasets with other paths in their metadata are refused: those could point anywhere."""
 MAX_STATISTICS_BYTES = 100_000_000
 JSON_COLUMNS = ("hidden_state", "hidden_overrides", "start", "camera", "versions", "failures", "episode_record")
 """Columns of episodes that hold JSON."""
-_KEY = re.compile(r"[A-Za-z0-9_]+(\.[A-Za-z0-9_]+)*")
-_DTYPE = re.compile(r"[a-z0-9]{1,16}")
 
 
 def load_check(root: str | Path, *, num_points: int | None = None, recordings: bool = False) -> dict[str, Any]:
@@ -42,13 +44,11 @@ def load_check(root: str | Path, *, num_points: int | None = None, recordings: b
             column of the contract is missing or has another shape.
     """
     folder = Path(root).absolute()
-    if not folder.is_dir():
-        raise missing_dataset(folder)
+    info = checked_info(folder)
     try:
-        info = read_info(folder)
         read(folder / "meta" / "stats.json", max_bytes=MAX_STATISTICS_BYTES)
     except (OSError, ValueError) as error:
-        raise _half_written(f"{folder}: {error}") from error
+        raise damaged(folder, f"meta/stats.json: {error}") from error
     _check_rows(folder, info)
     if not is_dense(info["features"]):
         _check_features(folder, info, num_points)
@@ -66,11 +66,20 @@ def open_dataset(root: str | Path, *, num_points: int | None = None, **options: 
     return LeRobotDataset(f"local/{folder.name}", root=folder, **options)
 
 
-def episode_table(root: str | Path) -> pa.Table:
-    """Returns the per-episode columns of a dataset, without statistics, ordered by episode."""
+def episode_table(root: str | Path, *, statistics: bool = False) -> pa.Table:
+    """Returns the per-episode columns of a dataset, ordered by episode; statistics only if wanted."""
     paths = sorted((Path(root) / "meta" / "episodes").glob("*/*.parquet"))
-    table = pa.concat_tables(map(pq.read_table, paths)).sort_by("episode_index")
-    return table.select([name for name in table.column_names if not name.startswith("stats/")])
+    tables = [read_episodes(path, statistics=statistics) for path in paths]
+    return pa.concat_tables(tables, promote_options="default").sort_by("episode_index")
+
+
+def read_episodes(path: Path, *, statistics: bool = False) -> pa.Table:
+    """Returns a file of ``meta/episodes``, with or without statistics; never with those of clouds.
+
+    LeRobot's tools write statistics of each coordinate of a cloud, which are most of the file.
+    """
+    left_out = f"stats/{schema.POINT_CLOUD}/" if statistics else "stats/"
+    return pq.read_table(path, columns=[name for name in pq.read_schema(path).names if not name.startswith(left_out)])
 
 
 def episode_records(root: str | Path) -> list[dict[str, Any]]:
@@ -87,9 +96,44 @@ def episode_records(root: str | Path) -> list[dict[str, Any]]:
         ) from error
 
 
+def checked_info(folder: Path) -> dict[str, Any]:
+    """Returns ``meta/info.json`` of an absolute folder.
+
+    Raises:
+        DatasetError: there is no dataset, it has another format, is damaged, or has values that are not passed on.
+    """
+    if not is_dataset(folder):
+        raise missing_dataset(folder)
+    try:
+        info = read_info(folder)
+    except UntrustedValueError as error:
+        raise untrusted(folder, error) from error
+    except OtherFormatError as error:
+        raise DatasetError(
+            "This dataset has another format.",
+            got=f"{as_typed(folder)}: {error}",
+            allowed=f"format {VERSION} of LeRobot",
+            hint=f"{conversion_command(folder)}, which converts format v2.1",
+        ) from error
+    except (OSError, ValueError) as error:
+        raise damaged(folder, f"meta/info.json: {error}") from error
+    return info
+
+
+def conversion_command(folder: Path) -> str:
+    """Returns LeRobot's command that converts a dataset from format v2.1."""
+    module = "lerobot.scripts.convert_dataset_v21_to_v30"
+    return f"python -m {module} --repo-id=local/{folder.name} --root={as_typed(folder)} --push-to-hub=false"
+
+
+def is_dataset(folder: Path) -> bool:
+    """Returns whether a folder holds a dataset, complete or not."""
+    return (folder / "meta" / "info.json").exists() or any(folder.glob("data/*/*.parquet"))
+
+
 def missing_dataset(folder: Path) -> DatasetError:
-    """Returns the error for a folder without a dataset; mentions an unfinished collection beside it."""
-    partial = CollectionPaths(folder.resolve())
+    """Returns the error for a path without a dataset; names an unfinished collection or datasets in the folder."""
+    partial, shown = CollectionPaths(folder.resolve()), as_typed(folder)
     if partial.partial.is_dir():
         done = len(list(partial.episodes.glob("*.safetensors")))
         return DatasetError(
@@ -98,12 +142,14 @@ def missing_dataset(folder: Path) -> DatasetError:
             allowed=f"a complete dataset at {folder}",
             hint="the same `adamanip collect` command; it resumes",
         )
-    return DatasetError(
-        "There is no dataset.",
-        got=folder,
-        allowed="a folder that `adamanip collect` wrote",
-        hint=f"adamanip collect {as_typed(folder)} --category safe",
-    )
+    got, hint = shown, f"adamanip collect {shown} --category safe"
+    if folder.is_dir():
+        inside = sorted(as_typed(path.parent.parent) for path in folder.glob("*/meta/info.json"))
+        got = f"{shown}, a folder with other files" if any(folder.iterdir()) else f"{shown}, an empty folder"
+        hint = f"{inside[0]}, which is a dataset" if inside else "another folder"
+    elif folder.exists():
+        got, hint = f"{shown}, a file", "the folder of a dataset"
+    return DatasetError("There is no dataset.", got=got, allowed="a folder with meta/info.json", hint=hint)
 
 
 def as_typed(folder: Path) -> str:
@@ -142,43 +188,36 @@ def _recording(folder: Path, features: dict[str, Any]) -> DatasetError:
     )
 
 
-def _half_written(what: object) -> DatasetError:
+def damaged(folder: Path, what: object) -> DatasetError:
+    """Returns the error for a half written or damaged dataset."""
     return DatasetError(
         "This dataset is half written or damaged.",
-        got=what,
+        got=f"{folder}: {what}",
         allowed="complete Parquet, JSON and video files",
-        hint="collect it again: delete the folder and run `adamanip collect`",
+        hint=f"adamanip check {as_typed(folder)} --repair, which mends counts and statistics and lists other damage",
+    )
+
+
+def untrusted(folder: Path, error: object) -> DatasetError:
+    """Returns the error for a value of a dataset that could make a library do something else."""
+    return DatasetError(
+        "This dataset has a value that is not passed on to other programs.",
+        got=f"{folder}: {error}"[:400],
+        allowed="values that LeRobot or `adamanip` writes",
+        hint="a copy of the dataset from a source that you trust",
     )
 
 
 def read_info(folder: Path) -> dict[str, Any]:
-    """Returns ``meta/info.json`` after checking its columns and paths.
+    """Returns ``meta/info.json`` after checking it.
 
     Raises:
         OSError: it does not exist.
-        ValueError: it is not JSON, or has invalid values.
+        OtherFormatError: the dataset has another format.
+        UntrustedValueError: a value is not one that LeRobot or this project writes.
+        ValueError: it is not JSON, or lacks a field.
     """
-    info: dict[str, Any] = read(folder / "meta" / "info.json")
-    try:
-        for total in ("total_frames", "total_episodes", "fps"):
-            if not isinstance(info[total], int) or isinstance(info[total], bool):
-                raise ValueError(f"{total} is no whole number")
-        for name, template in (("data_path", DATA_PATH), ("video_path", VIDEO_PATH)):
-            if info.get(name) not in (template, None):
-                raise ValueError(f"{name} is not LeRobot's: {str(info[name])[:100]!r}")
-        for key, feature in info["features"].items():
-            _check_feature(key, feature)
-    except (KeyError, TypeError, AttributeError) as error:
-        raise ValueError(f"it lacks or garbles {error}") from error
-    return info
-
-
-def _check_feature(key: str, feature: dict[str, Any]) -> None:
-    """Raises ValueError for an invalid column; video names are parts of paths."""
-    sizes = feature["shape"]
-    sound = all(isinstance(size, int) and 0 < size <= 1_000_000 for size in sizes) and len(sizes) <= 4
-    if not _KEY.fullmatch(key) or not sound or not _DTYPE.fullmatch(feature["dtype"]):
-        raise ValueError(f"column {key[:100]!r} cannot be")
+    return check_info(read(folder / "meta" / "info.json"))
 
 
 def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
@@ -198,18 +237,14 @@ def read_back(root: str | Path, lengths: Sequence[int] | None = None) -> None:
             if feature["dtype"] == "video"
         }
     except (OSError, ValueError, pa.ArrowException) as error:
-        raise _half_written(f"{folder}: {error}") from error
+        raise damaged(folder, error) from error
     wanted = list(found if lengths is None else lengths)
     if found != wanted or any(count != sum(wanted) for count in (rows, *frames.values())):
-        raise _half_written(
-            f"{folder}: {len(found)} episodes, {rows} rows, frames {frames}; {sum(wanted)} were written"
-        )
+        raise damaged(folder, f"{len(found)} episodes, {rows} rows, frames {frames}; {sum(wanted)} were written")
 
 
 def _decoded(path: Path) -> int:
-    import av
-
-    with contextlib.closing(av.open(str(path))) as container:
+    with contextlib.closing(open_mp4(path)) as container:
         return sum(1 for _ in container.decode(video=0))
 
 
@@ -220,12 +255,24 @@ def _check_rows(folder: Path, info: dict[str, Any]) -> None:
             try:
                 rows += pq.read_metadata(path).num_rows
             except (OSError, pa.ArrowException) as error:
-                raise _half_written(f"{path}: {error}") from error
+                raise damaged(folder, f"{path.relative_to(folder)}: {error}") from error
         if rows == 0 or rows != info[total]:
-            raise _half_written(f"{folder}: {rows} rows in {pattern}, but {total} = {info[total]}")
+            raise damaged(folder, f"{rows} rows in {pattern}, but {total} = {info[total]}")
     for key, feature in info["features"].items():
-        if feature["dtype"] == "video" and not any((folder / "videos" / key).glob("*/*.mp4")):
-            raise _half_written(f"{folder}: no videos of {key}")
+        if feature["dtype"] == "video":
+            paths = list((folder / "videos" / key).glob("*/*.mp4"))
+            if not paths:
+                raise damaged(folder, f"no videos of {key}")
+            check_videos(folder, paths)
+
+
+def check_videos(folder: Path, paths: Iterable[Path]) -> None:
+    """Raises `DatasetError` for a video file of a dataset that is no MP4 file."""
+    try:
+        for path in paths:
+            check_video(path)
+    except UntrustedValueError as error:
+        raise untrusted(folder, error) from error
 
 
 def _check_features(folder: Path, info: dict[str, Any], num_points: int | None) -> None:

@@ -14,13 +14,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
+import pyarrow as pa
 
-from lerobot_adamanip.datasets.check.dataset import require_dataset
-from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.check.layout import INFO, STATS, Layout, leftovers, read_layout
-from lerobot_adamanip.datasets.check.statistics import aggregated, check_statistics, stored_statistics
+from lerobot_adamanip.datasets.check.dataset import lacks_cameras, require_dataset
+from lerobot_adamanip.datasets.check.findings import Report, first_line
+from lerobot_adamanip.datasets.check.layout import CAMERAS, INFO, STATS, Layout, leftovers, read_layout
+from lerobot_adamanip.datasets.check.statistics import check_statistics, repaired_statistics, stored_statistics
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
+from lerobot_adamanip.datasets.statistics import plain_statistics
+from lerobot_adamanip.datasets.writing import camera_records, cameras_json
 from lerobot_adamanip.util import files
 
 
@@ -103,6 +105,7 @@ def repair(root: str | Path) -> Repair:
         else:
             _move_uncounted(done, layout)
             _write_totals(done)
+            _write_cameras(done, layout)
     return done
 
 
@@ -128,7 +131,16 @@ def _write_totals(done: Repair) -> None:
         layout.info.update(true)
     report, stored = Report(), stored_statistics(layout.table)
     check_statistics(layout, stored, report)
-    if not report.clean:
-        stats = aggregated(stored, layout.picture_keys)
-        plain = {key: {name: np.asarray(value).tolist() for name, value in stats[key].items()} for key in sorted(stats)}
-        done.replace(done.root / STATS, plain, "computed again from the episodes")
+    if report.counts:
+        try:
+            stats = repaired_statistics(layout, stored)
+        except (OSError, pa.ArrowException) as error:
+            done.left.append(f"{STATS}: the rows cannot be read: {first_line(error)}")
+            return
+        done.replace(done.root / STATS, plain_statistics(stats), "computed again from the rows")
+
+
+def _write_cameras(done: Repair, layout: Layout) -> None:
+    """Writes lost parameters of cameras again, from the column of the episodes that has them."""
+    if lacks_cameras(layout) and (cameras := camera_records(layout.table)):
+        done.replace(done.root / CAMERAS, json.loads(cameras_json(cameras)), "written again from the episodes")

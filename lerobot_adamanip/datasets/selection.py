@@ -18,13 +18,25 @@ from lerobot_adamanip.util.json_fields import integer, listing, read, table, tex
 
 FORMAT = 1
 _MOST = 10_000_000
+_COMMANDS = ("filter", "split")
+
+
+def _command(name: str, value: object) -> str:
+    """Checks a command that selected episodes; a card shows it to be typed."""
+    command: str = text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command")(name, value)
+    words = shlex.split(command)
+    if words[:1] != ["adamanip"] or words[1:2] not in ([each] for each in _COMMANDS) or shlex.join(words) != command:
+        raise ValueError(f"{name} is {command[:80]!r}, not a command of adamanip {' or '.join(_COMMANDS)}")
+    return command
+
+
 _SELECTION = table(
     {
         "format": integer(FORMAT, FORMAT),
         "source": text(r"[0-9a-f]{32}", "a hash"),
         "source_episodes": integer(1, _MOST),
         "episodes": listing(integer(0, _MOST), 1, _MOST),
-        "made_with": listing(text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command"), 0, 100),
+        "made_with": listing(_command, 0, 100),
     }
 )
 
@@ -81,7 +93,7 @@ def read_selection(root: Path, episodes: int) -> Selection:
             "Cannot read which episodes this part of a dataset holds.",
             got=f"{path}: {error}",
             allowed=f"{episodes} indices, as `adamanip filter` and `adamanip split` write them",
-            hint="delete the file: the dataset is then independent",
+            hint=f"rename {path.name}: the dataset is then independent of others",
         ) from error
     return found
 

@@ -18,6 +18,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.json_fields import parse
 
 _PNG, _PNG_ENDS = ".png", ".png_ends"
 """Suffixes of an image column: concatenated PNG files, and the end of each."""
@@ -67,7 +68,7 @@ def read_shard(path: Path) -> RecordedEpisode:
     try:
         with safe_open(path, framework="numpy") as file:
             columns = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a mapping)
-            record = json.loads(file.metadata()[_RECORD])
+            record = parse(file.metadata()[_RECORD])
         for key in [name.removesuffix(_PNG_ENDS) for name in columns if name.endswith(_PNG_ENDS)]:
             ends = columns.pop(key + _PNG_ENDS).tolist()
             png = columns.pop(key + _PNG).tobytes()
@@ -87,7 +88,7 @@ def read_record(path: Path) -> dict[str, Any] | None:
     """Returns the record of an episode file; None if the file is missing or damaged."""
     try:
         with safe_open(path, framework="numpy") as file:
-            record: dict[str, Any] = json.loads(file.metadata()[_RECORD])
+            record: dict[str, Any] = parse(file.metadata()[_RECORD])
     except (OSError, SafetensorError, KeyError, ValueError, TypeError):
         return None
     return record

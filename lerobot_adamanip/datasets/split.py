@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.datasets.compose import Progress, compose
-from lerobot_adamanip.datasets.conditions import Facts
+from lerobot_adamanip.datasets.conditions import Facts, as_text
 from lerobot_adamanip.datasets.episode_facts import episode_facts
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.source import Source
@@ -89,10 +89,12 @@ def assign(facts: Sequence[Facts], shares: Mapping[str, float] | None, *, by: st
 
 
 def _groups(facts: Sequence[Facts], by: str) -> dict[Any, list[int]]:
-    """Returns value -> its episodes, ordered by value."""
+    """Returns value -> its episodes, ordered by value. Numbers are texts in a column that has texts as well."""
     found: dict[Any, list[int]] = {}
+    has_texts = any(isinstance(each.get(by), str) for each in facts)
     for number, each in enumerate(facts):
-        found.setdefault(each.get(by), []).append(number)
+        value = each.get(by)
+        found.setdefault(value if value is None or not has_texts else as_text(value), []).append(number)
     if None in found:
         known = [name for name in facts[0] if all(each.get(name) is not None for each in facts)]
         raise ConfigurationError(
@@ -101,8 +103,8 @@ def _groups(facts: Sequence[Facts], by: str) -> dict[Any, list[int]]:
     return {value: found[value] for value in sorted(found)}
 
 
-def _folder_name(by: str, value: object) -> str:
-    text = str(value).lower() if isinstance(value, bool) else str(value)
+def _folder_name(by: str, value: Any) -> str:
+    text = as_text(value)
     if re.fullmatch(r"(?!\.)[\w.-]{1,100}", text) is None:
         raise ConfigurationError(
             "A value cannot be the name of a folder.",

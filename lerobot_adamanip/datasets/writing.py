@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
+from lerobot_adamanip.datasets.reading import read_episodes
 from lerobot_adamanip.datasets.statistics import write_episodes
+from lerobot_adamanip.util.json_fields import parse
 
 _OPTIONS: dict[str, Any] = {
     "robot_type": "panda",
@@ -88,12 +89,22 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
     """Adds columns, one value per episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
     added = columns if isinstance(columns, pa.Table) else pa.table(columns)
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
-        table = pq.read_table(path)
+        table = read_episodes(path, statistics=True)
         mine = added.take(table["episode_index"])
         for name in mine.column_names:
             if name not in table.column_names:
                 table = table.append_column(name, mine[name])
         write_episodes(path, table)
+
+
+def camera_records(episodes: pa.Table) -> list[dict[str, Any]]:
+    """Returns each episode's camera parameters; empty if those of any episode are unknown."""
+    texts = episodes["camera"].to_pylist() if "camera" in episodes.column_names else []
+    try:
+        cameras = [parse(text) for text in texts]
+    except (TypeError, ValueError):
+        return []
+    return cameras if all(isinstance(each, dict) for each in cameras) else []
 
 
 def cameras_json(cameras: list[dict[str, Any]]) -> bytes:

@@ -110,10 +110,10 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
     name, root = root.absolute().name, root.resolve()
     version = str(load_check(root).get("codebase_version"))
     result = check(root, assets=assets)
-    if not result.clean:
+    if failures := [finding for finding in result.findings if finding.fails]:
         raise DatasetError(
             "This dataset is damaged.",
-            got=f"{root.name}: {sum(result.counts.values())} findings, the first: {result.findings[0]}",
+            got=f"{root.name}: {result.total(fails=True)} findings, the first: {failures[0]}",
             allowed="a dataset in which `adamanip check` finds nothing",
             hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs damage from a crash",
         )

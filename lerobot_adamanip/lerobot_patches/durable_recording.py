@@ -41,6 +41,7 @@ from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 
 from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
+from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.calibration.file import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
@@ -146,9 +147,14 @@ class DurableWriter(DatasetWriter):
         meta.__class__ = DurableMetadata  # the same data, written differently
 
     def finalize(self) -> None:
-        """Like LeRobot's. Afterwards another process may write or repair the dataset."""
-        super().finalize()
-        self._lock.close()
+        """Like LeRobot's, but with true statistics. Afterwards another process may write or repair the dataset."""
+        is_open = not getattr(self, "_finalized", False)
+        try:
+            super().finalize()
+            if is_open and self._meta.total_episodes:
+                write_statistics(self._meta.root, self._meta.features)
+        finally:
+            self._lock.close()
 
     def _save_episode_data(self, episode_buffer: dict[str, Any]) -> dict[str, Any]:
         metadata: dict[str, Any] = super()._save_episode_data(episode_buffer)

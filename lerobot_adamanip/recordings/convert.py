@@ -20,7 +20,7 @@ from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.datasets.reading import load_check, read_back, read_info
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
-from lerobot_adamanip.datasets.statistics import sort_statistics
+from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import FRONT_CAMERA, INTERVENTION
@@ -250,7 +250,7 @@ def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id:
         depth_camera=options.camera,
     )
     records, lengths = append_shards(dataset, shards, lambda done, total: progress("assemble", done, total))
-    sort_statistics(root)
+    write_statistics(root, dataset.meta.features)
     add_episode_columns(root, {name: [record[name] for record in records] for name in ("success", "key_frames")})
     texts: dict[str, list[Any]] = {
         name: [json.dumps(record[name], sort_keys=True) for record in records] for name in ("camera", "recorded")

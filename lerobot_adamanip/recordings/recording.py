@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
-from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.datasets.reading import check_videos, checked_info
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import (
@@ -59,10 +59,7 @@ class DenseRecording:
     def open(cls, root: Path, camera: str = FRONT_CAMERA) -> DenseRecording:
         """Opens a recording. Raises `DatasetError` if it is missing, from another robot, or without depth."""
         folder = root.absolute()
-        try:
-            info = read_info(folder)
-        except (OSError, ValueError) as error:
-            raise _unusable(folder, str(error), "a dataset that can be read", f"adamanip repair {root}") from error
+        info = checked_info(folder)
         if not is_dense(info["features"]):
             raise _unusable(
                 folder,
@@ -74,6 +71,7 @@ class DenseRecording:
         if depth not in info["features"]:
             pictures = [key for key in info["features"] if is_image_column(key)]
             raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a depth camera")
+        check_videos(folder, folder.glob("videos/*/*/*.mp4"))
         return cls(folder, info, camera)
 
     @property
@@ -161,7 +159,9 @@ class DenseRecording:
             limits = limits_from_json(path.read_bytes())
         except (OSError, ValueError, ConfigurationError) as error:
             got = f"{SAFETY}: {error}"
-            raise _unusable(self.root, got, "the file that the recorder wrote", f"rm {path}") from error
+            raise _unusable(
+                self.root, got, "the file that the recorder wrote", f"rename {SAFETY}: rows then say what was asked"
+            ) from error
         sent = [first]
         for target in asked[:-1]:
             let_through = accepted(target, limits)

@@ -1,4 +1,4 @@
-"""Export of frames as a video for browsers."""
+"""Videos: reading MP4 files of others, and export of frames for browsers."""
 
 from __future__ import annotations
 
@@ -9,6 +9,26 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+
+def is_mp4(path: Path) -> bool:
+    """Returns whether a file is empty or begins like an MP4 file."""
+    with open(path, "rb") as file:
+        head = file.read(8)
+    return not head or head[4:] == b"ftyp"
+
+
+def open_mp4(path: Path) -> Any:
+    """Returns a PyAV container for reading.
+
+    FFmpeg finds the format of a file by its content, not its name. A playlist would make it open other files.
+
+    Raises:
+        av.FFmpegError: it is no MP4 file.
+    """
+    import av
+
+    return av.open(str(path), format="mp4")
 
 
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> Path:

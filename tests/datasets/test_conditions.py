@@ -46,6 +46,29 @@ def test_conditions(text: str) -> None:
     assert [index for index, each in enumerate(FACTS) if condition.holds(each)] == CHOSEN[text]
 
 
+MIXED: list[Facts] = [
+    {"mode": True, "side": "left", "share": 1}, {"mode": 1, "side": 2, "share": 0.5},
+    {"mode": 0, "side": True, "share": 2}, {"mode": False, "side": "2", "share": 1.0},
+]  # fmt: skip
+"""Values as merged datasets have them: one value stored in two types."""
+
+
+@pytest.mark.parametrize(
+    ("text", "chosen"),
+    [
+        ("mode=1", [0, 1]), ("mode=true", [0, 1]), ("mode!=TRUE", [2, 3]), ("mode<1", [2, 3]), ("mode=0,false", [2, 3]),
+        ("side=2", [1, 3]), ("side=true", [2]), ("side!=left", [1, 2, 3]), ("share=1", [0, 3]), ("share<1", [1]),
+    ],
+)  # fmt: skip
+def test_conditions_hold_on_columns_of_several_types(text: str, chosen: list[int]) -> None:
+    assert choose([text], MIXED) == chosen
+
+
+def test_columns_of_several_types_are_split() -> None:
+    assert assign(MIXED, None, by="mode", seed=0) == {"true": [0, 1], "0": [2, 3]}
+    assert assign(MIXED, None, by="side", seed=0) == {"true": [2], "2": [1, 3], "left": [0]}
+
+
 @pytest.mark.parametrize("text", REFUSED)
 def test_what_chooses_nothing_is_one_clear_error(text: str) -> None:
     with pytest.raises(AdaManipError) as error:

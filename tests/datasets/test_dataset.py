@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import importlib.util
 import json
 import shutil
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
+from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset, read_back
@@ -138,6 +140,40 @@ def test_a_file_without_its_footer_or_a_row_is_half_written(copy: Path, refuses:
     (copy / name).write_bytes(content)
     pq.write_table(pq.read_table(copy / name).slice(0, 3), copy / name)
     assert "3 rows" in refuses(DatasetError, lambda: load_check(copy))
+
+
+def test_no_advice_costs_data(copy: Path, tmp_path: Path, refuses: Refuses, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Work of the user lies beside a dataset, another format can be converted, and a repair mends counts."""
+    monkeypatch.chdir(tmp_path)
+    work = tmp_path / "work"
+    shutil.copytree(copy, work / "demos")
+    (work / "train").mkdir()
+    (work / "notes.txt").touch()
+    (work / "empty").mkdir()
+
+    def advice(root: Path) -> str:
+        message = refuses(DatasetError, lambda: load_check(root))
+        assert "delete" not in message
+        assert "rm " not in message
+        return message
+
+    assert "work/demos, which is a dataset" in advice(work)
+    assert "a folder with other files" in advice(work)
+    assert "adamanip collect" not in advice(work) + advice(work / "empty") + advice(work / "notes.txt")
+    assert "a file" in advice(work / "notes.txt")
+    assert "adamanip collect work/new" in advice(work / "new")
+    path = work / "demos" / "meta" / "info.json"
+    info = json.loads(path.read_text())
+    path.write_text(json.dumps({**info, "total_frames": 9}))
+    assert "adamanip check work/demos --repair" in advice(work / "demos")
+    old = {**info, "codebase_version": "v2.1", "data_path": "data/{episode_chunk:03d}/{episode_index}.parquet"}
+    path.write_text(json.dumps(old))
+    (work / "demos" / "meta" / "stats.json").unlink()  # which v2.1 has not
+    told = advice(work / "demos")
+    module = told.partition("python -m ")[2].split()[0]
+    assert importlib.util.find_spec(module) is not None
+    assert "v2.1" in told
+    assert any("convert_dataset" in str(each) for each in check(work / "demos").findings)
 
 
 @pytest.mark.parametrize("name", ["meta/info.json", "meta/stats.json", "data", "videos", "meta/episodes"])

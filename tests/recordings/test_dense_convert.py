@@ -128,7 +128,7 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
     rest = int(np.flatnonzero((episode.sent == STOPS[2].goal).all(axis=1))[0]) + 6
     corrected = replace(episode, corrected=ticks >= rest)
     root = write_recording(tmp_path / "rollout", corrected)
-    assert check(root).findings == []
+    assert check(root).clean  # LeRobot's own writer averages quantiles, which is a warning
     made = convert([root], tmp_path / "made", replace(OPTIONS, successful=True))
     assert made.episodes == 1
     rows = rows_of(tmp_path / "made")
@@ -149,7 +149,7 @@ def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_p
     _keep_robot(root)  # as the recorder does
     ROBOTS.close("arm")
     assert limits_from_json((root / SAFETY).read_bytes()) == limits
-    assert check(root).findings == []
+    assert check(root).clean  # LeRobot's own writer averages quantiles, which is a warning
     recording = DenseRecording.open(root)
     read = recording.episode(0)
     for asked, sent in zip(read.asked[:-1], read.sent[1:], strict=True):

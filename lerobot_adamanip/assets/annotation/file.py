@@ -17,6 +17,7 @@ from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
 from lerobot_adamanip.util.errors import require_choice
 from lerobot_adamanip.util.files import write_atomically
+from lerobot_adamanip.util.json_fields import read
 
 ANNOTATION_NAME = "adamanip.json"
 """File that `adamanip annotate` writes beside a URDF."""
@@ -69,8 +70,8 @@ def read_annotation(path: Path, category: str) -> Annotation:
         return broken(path, what, got, allowed, hint=annotate_hint(path, category))
 
     try:
-        found: Any = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        found: Any = read(path)
+    except (OSError, ValueError) as error:
         raise wrong("cannot be read.", error, "JSON, as `adamanip annotate` saves it") from error
     if not isinstance(found, dict) or found.get("format") != FORMAT or found.get("version") != VERSION:
         raise wrong("not an annotation.", str(found)[:80], f"format {FORMAT!r}, version {VERSION}")

@@ -25,7 +25,7 @@ from lerobot_adamanip.datasets.check.contract import OF_LEROBOT
 from lerobot_adamanip.datasets.collect_command import collect_command
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
-from lerobot_adamanip.datasets.reading import episode_records
+from lerobot_adamanip.datasets.reading import episode_records, read_info
 from lerobot_adamanip.datasets.selection import Selection, read_selection, selection_path
 
 COLUMNS = {
@@ -70,7 +70,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
     records = episode_records(folder)
     selection = read_selection(folder, len(records)) if selection_path(folder).exists() else None
-    info = json.loads((folder / "meta" / "info.json").read_text())
+    info = read_info(folder)
     return card_template("dataset_card.md").substitute(
         _made(manifest, records, name.removesuffix("-failed"), selection),
         **_recorded(records),
@@ -133,7 +133,7 @@ def _made(
 
 
 def _meaning(column: str) -> str:
-    return COLUMNS[schema.FRONT_IMAGE if is_image_column(column) else column]
+    return COLUMNS.get(schema.FRONT_IMAGE if is_image_column(column) else column, "")
 
 
 def _seen(info: dict[str, Any], records: list[dict[str, Any]]) -> dict[str, object]:

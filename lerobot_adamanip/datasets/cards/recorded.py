@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,7 +10,7 @@ from typing import Any
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.datasets.cards.collected import common_fields
 from lerobot_adamanip.datasets.cards.templates import card_template
-from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.reading import episode_table, read_info
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import parse
 
@@ -31,7 +30,7 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
     Raises:
         DatasetError: an episode has neither its recording nor its object.
     """
-    info = json.loads((folder / "meta" / "info.json").read_text(encoding="utf-8"))
+    info = read_info(folder)
     rows = episode_table(folder).to_pylist()
     try:
         sources = Counter(map(_source, rows))

@@ -24,7 +24,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
     if is_dense(features):
         _check_dense(features, report)
         return
-    contract = _contract(features)
+    contract = contract_of(features)
     for key, wanted in contract.items():
         feature = features.get(key)
         if feature is None:
@@ -52,7 +52,7 @@ def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> N
             report.add("schema", f"no column {key} of {dtype}", INFO)
 
 
-def _contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
+def contract_of(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Returns the contract for this dataset's number of points and image size."""
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))

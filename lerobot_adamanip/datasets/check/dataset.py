@@ -5,10 +5,17 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-from lerobot_adamanip.datasets.check.contract import check_features
+from lerobot_adamanip.datasets.check.contract import check_features, contract_of
 from lerobot_adamanip.datasets.check.facts import check_course, check_facts, count_labels, has_facts, read_collection
 from lerobot_adamanip.datasets.check.findings import Progress, Report
-from lerobot_adamanip.datasets.check.layout import CAMERAS, INFO, Layout, leftovers, read_layout, unlisted_files
+from lerobot_adamanip.datasets.check.layout import (
+    CAMERAS,
+    Layout,
+    check_texts,
+    leftovers,
+    read_layout,
+    unlisted_files,
+)
 from lerobot_adamanip.datasets.check.reading import read_rows
 from lerobot_adamanip.datasets.check.statistics import (
     Stored,
@@ -18,7 +25,7 @@ from lerobot_adamanip.datasets.check.statistics import (
 )
 from lerobot_adamanip.datasets.check.values import check_values
 from lerobot_adamanip.datasets.check.videos import check_videos
-from lerobot_adamanip.datasets.reading import missing_dataset, workspace_of
+from lerobot_adamanip.datasets.reading import is_dataset, missing_dataset, workspace_of
 
 
 def check(
@@ -45,10 +52,10 @@ def check(
     if layout is None:
         return report
     report.episodes = len(layout.episodes)
+    check_texts(layout, report)
     collected = read_collection(folder, assets, report)
-    named = any("cameras" in (feature.get("info") or {}) for feature in layout.features.values())
-    if named and not (folder / CAMERAS).exists():
-        report.add("missing", "parameters of the cameras", CAMERAS)
+    if lacks_cameras(layout):
+        report.add("cameras", "parameters of the cameras", CAMERAS)
     check_features(layout.features, report, collected=collected is not None)
     stored = stored_statistics(layout.table)
     for name in unlisted_files(layout):
@@ -61,10 +68,16 @@ def check(
     return report
 
 
+def lacks_cameras(layout: Layout) -> bool:
+    """Returns whether the dataset names a file with the cameras' parameters that does not exist."""
+    named = any("cameras" in (feature.get("info") or {}) for feature in layout.features.values())
+    return named and not (layout.root / CAMERAS).exists()
+
+
 def require_dataset(root: str | Path) -> Path:
     """Returns the folder of a dataset, complete or not; raises `DatasetError` if there is none."""
     folder = Path(root).absolute()
-    if not (folder / INFO).exists() and not any(folder.glob("data/*/*.parquet")):
+    if not is_dataset(folder):
         raise missing_dataset(folder)
     return folder
 
@@ -72,7 +85,7 @@ def require_dataset(root: str | Path) -> Path:
 def _check_rows(layout: Layout, stored: Stored, report: Report, progress: Progress) -> dict[int, dict[str, int]]:
     """Checks the data files; returns episode -> label counts."""
     counted: dict[int, dict[str, int]] = {}
-    workspace = workspace_of(layout.root, layout.features)
+    workspace, ours = workspace_of(layout.root, layout.features), contract_of(layout.features)
     for name, episodes in layout.by_data_file().items():
         found = read_rows(layout, name, episodes, report)
         if found is None:
@@ -82,7 +95,7 @@ def _check_rows(layout: Layout, stored: Stored, report: Report, progress: Progre
         if has_facts(layout):
             check_course(where, columns, report)
         report.damaged |= set(where.episodes.tolist()) - set(layout.row_of)
-        check_episode_statistics(where, columns, stored, layout.row_of, report)
+        check_episode_statistics(where, columns, stored, layout.row_of, report, ours=ours)
         counted.update(count_labels(where, columns))
         report.rows += len(where)
         progress("rows", report.rows, layout.rows)

@@ -16,10 +16,11 @@ Progress = Callable[[str, int, int], None]
 
 
 class Kind(NamedTuple):
-    """Meaning of a kind of finding, and its repair by `adamanip check --repair`."""
+    """Meaning of a kind of finding, its repair by `adamanip check --repair`, and whether it makes a check fail."""
 
     meaning: str
     repair: str
+    fails: bool = True
 
 
 _NO = "no"
@@ -31,6 +32,11 @@ KINDS: Mapping[str, Kind] = {
     "leftover": Kind("a temporary file or picture of a process that ended early", "moved away"),
     "unlisted": Kind("rows or video frames that belong to no episode", "files of no saved episode are moved away"),
     "metadata": Kind("an episode's metadata contradicts itself, or the dataset has another format", _NO),
+    "untrusted": Kind(
+        "a value that another program would interpret (options of an encoder, a playlist, markup, control characters), "
+        "which no command passes on",
+        _NO,
+    ),
     "count": Kind("totals in `meta/info.json` differ from the episodes", "counted again"),
     "schema": Kind("a column is missing, or its type, shape or names differ from the contract's", _NO),
     "shape": Kind("a cell is empty, or its shape differs from its column's", _NO),
@@ -46,7 +52,18 @@ KINDS: Mapping[str, Kind] = {
     "video-length": Kind("a video is shorter than its episodes, or is cut at other places", _NO),
     "video-content": Kind("a video's colours differ from its episode's statistics", _NO),
     "episode-statistics": Kind("an episode's statistics differ from those of its rows", _NO),
-    "statistics": Kind("`meta/stats.json` differs from the statistics of the episodes", "computed again"),
+    "statistics": Kind("`meta/stats.json` differs from the statistics of the rows", "computed again"),
+    "averaged": Kind(
+        "warning: quantiles of `meta/stats.json` are averages of the episodes', or the cloud has none, as LeRobot's "
+        "tools leave them",
+        "computed again",
+        fails=False,
+    ),
+    "cameras": Kind(
+        "warning: `meta/cameras.json` is lost, as LeRobot's tools lose it",
+        "written again, if `meta/episodes` has the column `camera`",
+        fails=False,
+    ),
     "facts": Kind("an episode's columns (object, hidden state, tries ...) are invalid, or contradict its rows", _NO),
     "collection": Kind("`meta/collection.json` is invalid, or an episode does not belong to that collection", _NO),
     "versions": Kind("an episode's software versions differ from its collection's", _NO),
@@ -68,12 +85,18 @@ class Finding:
     episode: int | None = None
     frame: int | None = None
 
+    @property
+    def fails(self) -> bool:
+        """Whether it makes a check fail; a warning does not."""
+        return KINDS[self.kind].fails
+
     def __str__(self) -> str:
-        """Returns one line: kind, place, message."""
+        """Returns one line: kind, place, message; a warning says so first."""
         episode = None if self.episode is None else f"episode {self.episode}"
         frame = None if self.frame is None else f"frame {self.frame}"
         place = ", ".join(filter(None, (self.file, episode, frame)))
-        return f"{self.kind}: {place}{': ' if place else ''}{self.message}"
+        warning = "" if self.fails else "warning: "
+        return f"{warning}{self.kind}: {place}{': ' if place else ''}{self.message}"
 
 
 @dataclass(frozen=True)
@@ -138,8 +161,12 @@ class Report:
 
     @property
     def clean(self) -> bool:
-        """Whether there are no findings."""
-        return not self.counts
+        """Whether there are no findings but warnings."""
+        return not self.total(fails=True)
+
+    def total(self, *, fails: bool) -> int:
+        """Returns the number of findings that make the check fail, or of warnings."""
+        return sum(count for kind, count in self.counts.items() if KINDS[kind].fails is fails)
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

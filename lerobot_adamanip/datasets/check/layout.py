@@ -12,12 +12,19 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.check.findings import Report, first_line
-from lerobot_adamanip.datasets.reading import DATA_PATH, VIDEO_PATH, read_info
+from lerobot_adamanip.datasets.description import (
+    DATA_PATH,
+    TASK,
+    VIDEO_PATH,
+    OtherFormatError,
+    UntrustedValueError,
+    check_episode_text,
+)
+from lerobot_adamanip.datasets.reading import conversion_command, read_episodes, read_info
 
 INFO, STATS, TASKS, CAMERAS, ATTEMPTS = (
     f"meta/{name}" for name in ("info.json", "stats.json", "tasks.parquet", "cameras.json", "attempts.jsonl")
 )
-VERSION = "v3.0"
 _FRAME = 1e-3
 """Largest difference of equal times [s]; LeRobot stores them as sums of durations."""
 
@@ -119,11 +126,15 @@ def read_layout(root: Path, report: Report) -> Layout | None:
     except FileNotFoundError:
         report.add("missing", "the description of the dataset", INFO)
         return None
+    except OtherFormatError as error:
+        report.add("metadata", f"{error}; {conversion_command(root)} converts v2.1", INFO)
+        return None
+    except UntrustedValueError as error:
+        report.add("untrusted", str(error)[:200], INFO)
+        return None
     except (OSError, ValueError) as error:
         report.add("unreadable", str(error), INFO)
         return None
-    if info.get("codebase_version") != VERSION:
-        report.add("metadata", f"codebase_version is {info.get('codebase_version')!r}, not {VERSION!r}", INFO)
     tasks, table = _tasks(root, report), _episode_table(root, report)
     videos = [key for key, feature in info["features"].items() if feature["dtype"] == "video"]
     layout = Layout(root, info, tasks or {}, list(_episodes(table, videos, report)), table)
@@ -136,12 +147,19 @@ def _tasks(root: Path, report: Report) -> dict[int, str] | None:
     try:
         content = pq.read_table(root / TASKS).to_pydict()
         texts = next(values for key, values in content.items() if key != "task_index")
-        return {int(index): str(text) for index, text in zip(content["task_index"], texts, strict=True)}
+        tasks = {int(index): str(text) for index, text in zip(content["task_index"], texts, strict=True)}
     except FileNotFoundError:
         report.add("missing", "texts of the tasks", TASKS)
+        return None
     except (OSError, ValueError, TypeError, KeyError, StopIteration, pa.ArrowException) as error:
         report.add("unreadable", first_line(error), TASKS)
-    return None
+        return None
+    for text in tasks.values():
+        try:
+            TASK("a task", text)
+        except ValueError as error:
+            report.add("untrusted", str(error), TASKS)
+    return tasks
 
 
 def _episode_table(root: Path, report: Report) -> pa.Table:
@@ -149,7 +167,7 @@ def _episode_table(root: Path, report: Report) -> pa.Table:
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
         name = path.relative_to(root).as_posix()
         try:
-            table = pq.read_table(path).replace_schema_metadata(None)
+            table = read_episodes(path, statistics=True).replace_schema_metadata(None)
             if not {"episode_index", "length"} <= set(table.column_names):
                 raise KeyError("the file does not list episodes")
             tables.append(table.append_column("listed_in", pa.array([name] * len(table), pa.string())))
@@ -160,6 +178,19 @@ def _episode_table(root: Path, report: Report) -> pa.Table:
             report.add("missing", "metadata of the episodes", "meta/episodes")
         return pa.table({"episode_index": pa.array([], pa.int64()), "listed_in": pa.array([], pa.string())})
     return pa.concat_tables(tables, promote_options="permissive").sort_by("episode_index")
+
+
+def check_texts(layout: Layout, report: Report) -> None:
+    """Reports texts in columns of episodes that a terminal or a card would interpret."""
+    for name in layout.table.column_names:
+        if not pa.types.is_string(layout.table.schema.field(name).type):
+            continue
+        for row, value in enumerate(layout.table[name].to_pylist()):
+            try:
+                check_episode_text(name, value)
+            except UntrustedValueError as error:
+                place = layout.table["listed_in"][row].as_py(), layout.table["episode_index"][row].as_py()
+                report.add("untrusted", str(error)[:200], *place)
 
 
 def _episodes(table: pa.Table, videos: Iterable[str], report: Report) -> Iterator[Episode]:

@@ -10,11 +10,13 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.schema import POINT_CLOUD
+from lerobot_adamanip.datasets.check.contract import contract_of
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.check.layout import STATS, Layout
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses
 from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES
-from lerobot_adamanip.datasets.statistics import QUANTILES
+from lerobot_adamanip.datasets.statistics import QUANTILES, row_statistics
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import listed
 from lerobot_adamanip.util.json_fields import read
@@ -44,11 +46,18 @@ def stored_statistics(table: pa.Table) -> Stored:
 
 
 def check_episode_statistics(
-    where: Rows, columns: Mapping[str, NDArray[Any]], stored: Stored, row_of: Mapping[int, int], report: Report
+    where: Rows,
+    columns: Mapping[str, NDArray[Any]],
+    stored: Stored,
+    row_of: Mapping[int, int],
+    report: Report,
+    *,
+    ours: Collection[str] = (),
 ) -> None:
     """Compares episodes' statistics with their rows; skips episodes that are known to be damaged.
 
-    ``columns`` are (R, ...) values of whole episodes; ``row_of`` gives an episode's row in ``stored``.
+    ``columns`` are (R, ...) values of whole episodes; ``row_of`` gives an episode's row in ``stored``. ``ours`` are the
+    columns that must have statistics.
     """
     for number, rows in where.runs():
         if number in report.damaged:
@@ -56,9 +65,11 @@ def check_episode_statistics(
         wrong = []
         for key, values in columns.items():
             told = {name: each[row_of[number]] for name, each in stored.get(key, {}).items()}
-            if key not in OF_PLACE and not set(told) >= NEEDED:
-                wrong.append(f"none of {key}")
-            elif key not in OF_PLACE and not _are_of(told, values[rows]):
+            if key in OF_PLACE:
+                continue
+            if not set(told) >= NEEDED:
+                wrong += [f"none of {key}"] if key in ours and key != POINT_CLOUD else []
+            elif not _are_of(told, values[rows]):
                 wrong.append(key)
         if wrong:
             report.add("episode-statistics", f"they differ from its rows: {listed(wrong)}", where.file, number)
@@ -88,23 +99,38 @@ def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bo
     return bool(near.all())
 
 
-def aggregated(stored: Stored, pictures: Collection[str]) -> Statistics:
-    """Returns the statistics of the dataset, by LeRobot's aggregation of its episodes' statistics.
+def dataset_statistics(layout: Layout, stored: Stored) -> Statistics:
+    """Returns the true statistics of a dataset: of all rows; for pictures, LeRobot's aggregation of the episodes'.
 
-    Statistics of the columns ``pictures`` have shape (3, 1, 1), or (1, 1, 1) for depth.
+    Raises:
+        OSError, ArrowException: a data file cannot be read.
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
-    whole = {key: told for key, told in stored.items() if set(told) >= NEEDED}
-
-    def shaped(key: str, name: str, value: NDArray[np.float64]) -> NDArray[np.float64]:
-        return value.reshape(-1, 1, 1) if key in pictures and name != "count" else value
-
+    pictures = {key: told for key, told in stored.items() if key in layout.picture_keys and set(told) >= NEEDED}
+    shapes = {name: (-1,) if name == "count" else (-1, 1, 1) for told in pictures.values() for name in told}
     episodes = [
-        {key: {name: shaped(key, name, each[row]) for name, each in told.items()} for key, told in whole.items()}
-        for row in range(min((len(told["count"]) for told in whole.values()), default=0))
+        {key: {name: each[row].reshape(shapes[name]) for name, each in told.items()} for key, told in pictures.items()}
+        for row in range(len(layout.table) if pictures else 0)
     ]
-    return aggregate_stats(episodes) if episodes else {}
+    rows = row_statistics([layout.root / name for name in layout.by_data_file()], layout.features)
+    return {**rows, **(aggregate_stats(episodes) if episodes else {})}
+
+
+def repaired_statistics(layout: Layout, stored: Stored) -> Statistics:
+    """Returns the true statistics, with fixed ranges of rotation and gripper if ``meta/stats.json`` has them.
+
+    Raises:
+        OSError, ArrowException: a data file cannot be read.
+    """
+    true = dataset_statistics(layout, stored)
+    fixed = unscaled_poses(true, layout.features)
+    try:
+        told = read_statistics(layout.root)
+    except (OSError, ValueError):
+        return true
+    is_fixed = {key for key in told.keys() & true.keys() if _same(told[key], fixed[key], "std")}
+    return {key: (fixed if key in is_fixed else true)[key] for key in true}
 
 
 def read_statistics(root: Path) -> Statistics:
@@ -120,9 +146,10 @@ def read_statistics(root: Path) -> Statistics:
 
 
 def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
-    """Compares ``meta/stats.json`` with the statistics of the episodes.
+    """Compares ``meta/stats.json`` with the rows, if no episode is damaged.
 
-    Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`.
+    Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`. What LeRobot's tools leave
+    behind (averaged quantiles, no statistics of clouds and added columns) is a warning or accepted.
     """
     try:
         told = read_statistics(layout.root)
@@ -132,17 +159,27 @@ def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
     except (OSError, ValueError) as error:
         report.add("unreadable", str(error)[:200], STATS)
         return
-    if not stored or len(layout.table) != layout.info["total_episodes"]:
-        return  # unknown which episodes the statistics cover
-    # A missing column has its own finding.
-    true = aggregated({key: each for key, each in stored.items() if key in layout.features}, layout.picture_keys)
+    if report.damaged or len(layout.table) != layout.info["total_episodes"]:
+        return  # unknown which rows the statistics cover
+    try:
+        true = dataset_statistics(layout, stored)
+    except (OSError, pa.ArrowException):
+        return  # `read_rows` reports the file
     fixed = unscaled_poses(true, layout.features)
-    wrong = [f"none of {key}" for key in true if key not in told]
-    for key in true.keys() & told.keys() - set(OF_PLACE):
-        if names := [name for name in true[key] if not any(_same(told[key], of[key], name) for of in (true, fixed))]:
-            wrong.append(f"{key} ({listed(names)})")
+    ours, wrong, averaged = contract_of(layout.features), list[str](), list[str]()
+    for key in sorted(true.keys() - set(OF_PLACE)):
+        if key not in told:
+            if key in ours:
+                (averaged if key == POINT_CLOUD else wrong).append(f"none of {key}")
+            continue
+        names = [name for name in true[key] if not any(_same(told[key], of[key], name) for of in (true, fixed))]
+        if names:
+            only_quantiles = key == POINT_CLOUD or set(names) <= set(QUANTILES)
+            (averaged if only_quantiles else wrong).append(f"{key} ({listed(names)})")
     if wrong:
-        report.add("statistics", f"they differ from the episodes: {listed(sorted(wrong))}", STATS)
+        report.add("statistics", f"they differ from the rows: {listed(wrong)}", STATS)
+    if averaged:
+        report.add("averaged", f"not those of all rows: {listed(averaged)}", STATS)
 
 
 def _same(told: Mapping[str, NDArray[np.float64]], right: Mapping[str, NDArray[np.float64]], name: str) -> bool:

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.check.layout import Episode, Layout
 from lerobot_adamanip.datasets.check.statistics import Stored
+from lerobot_adamanip.datasets.description import UntrustedValueError, check_video
+from lerobot_adamanip.util.video import open_mp4
 
 CONTENT = 0.08
 """Largest difference of an episode's mean colour [0 ... 1] from its statistics, because coding is lossy."""
@@ -24,6 +26,11 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
     for (key, file), listed in layout.by_video_file().items():
         if not (layout.root / file).is_file():
             report.add("missing", f"{key} of this and the following episodes in this file", file, listed[0].number)
+            continue
+        try:
+            check_video(layout.root / file)
+        except UntrustedValueError as error:
+            report.add("untrusted", str(error), file, listed[0].number)
             continue
         frames, broken = _decode(layout.root / file, progress)
         size = tuple(layout.features[key]["shape"][:2])
@@ -77,7 +84,7 @@ def _decode(path: Path, progress: Callable[[], None]) -> tuple[list[Frame], str]
     av.logging.set_libav_level(av.logging.FATAL)
     frames: list[Frame] = []
     try:
-        with av.open(str(path)) as container:
+        with open_mp4(path) as container:
             for frame in container.decode(video=0):
                 picture = frame.to_ndarray(format="rgb24")
                 colour = picture.reshape(-1, 3).mean(axis=0) / 255.0

@@ -43,7 +43,7 @@ def draw(episode: ViewedEpisode) -> Figure:
     grid = figure.add_gridspec(2, 1, height_ratios=(2.6, 1.0))
     _draw_scene(figure.add_subplot(grid[0], projection="3d"), episode)
     _draw_timeline(figure.add_subplot(grid[1]), episode)
-    figure.suptitle(episode.title, fontsize=11)
+    figure.suptitle(episode.title, fontsize=11, parse_math=False)
     return figure
 
 
