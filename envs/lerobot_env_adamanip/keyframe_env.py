@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import logging
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,27 +13,37 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
+from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import depth_size
-from lerobot_adamanip.contract.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.contract.schema import FPS, NUM_JOINTS
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
+from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError, UnreachableError, require_choice
 from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
+from lerobot_env_adamanip.sim.render_device import observes_images
 from lerobot_env_adamanip.simulator import make_task, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
+NEW_ROLLOUT = "lerobot_new_rollout"
+"""Option with which LeRobot resets at the start of a rollout: its `NEW_ROLLOUT_OPTION`, without importing LeRobot."""
+RESET_OPTIONS = ("object_id", "hidden_overrides", NEW_ROLLOUT)
+RENDER_MODE = "rgb_array"
+POSE_LOW, POSE_HIGH = (-2.0, -2.0, -2.0, *[-1.01] * 6, -1.0), (2.0, 2.0, 2.0, *[1.01] * 6, 2.0)
+"""Bounds of an observed tool pose: position [m], rotation 6D, gripper. Far outside of what the arm reaches."""
+MAX_JOINT_POSITION, MAX_JOINT_VELOCITY, MAX_EFFORT = 2 * np.pi, 100.0, 1000.0
+"""Bounds of the arm's observed joints [rad], [rad/s], [N m], far outside of its limits; observations are clipped."""
 SCENE_TRIES = 4
 """Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed."""
 _logger = logging.getLogger(__name__)
@@ -42,8 +54,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden
-        state; that of a truncated step also has ``limit``, the reason.
+        (H, W, 3) if images are observed, see ``observe_images``. All bounds are finite.
+    Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
+        text. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
         more than ``max_failed_tries``. Later steps return observations without reward and do not change its record.
 
@@ -52,32 +65,45 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Args:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` by default.
         options: all options at once ...
-        values: ... or some of them by name, see `EnvironmentOptions`.
+        render_mode: ``rgb_array`` or None, for Gymnasium; `render` works with both.
+        values: ... or some options by name, see `EnvironmentOptions`.
 
     Raises:
         ConfigurationError: an option does not exist, or a value is invalid.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
+    metadata = {"render_modes": [RENDER_MODE], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
 
     def __init__(
-        self, category: str | None = None, *, options: EnvironmentOptions | None = None, **values: Any
+        self,
+        category: str | None = None,
+        *,
+        options: EnvironmentOptions | None = None,
+        render_mode: str | None = RENDER_MODE,
+        **values: Any,
     ) -> None:
         require_known(values)
+        if render_mode is not None:
+            require_choice("render mode", render_mode, (RENDER_MODE,))
         named = {} if category is None else {"category": category}
-        self.options = (options or EnvironmentOptions()).changed(**named, **values)
+        asked = (options or EnvironmentOptions()).changed(**named, **values)
+        self.spec = environment_spec(asked)
+        self.options = asked
+        if asked.observe_images is None:
+            self.options = asked.changed(observe_images=observes_images(None))
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
-        self.render_mode = "rgb_array"
+        self.render_mode = render_mode
         self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
+        self._limit = ""
         self._episode_log, self._provenance = _log_of(self.options)
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
-        self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
+        self.action_space = _action_space()
         self.observation_space = _observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
@@ -90,18 +116,20 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         The seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
         the seed are tried; the log records this.
 
-        Options: ``object_id`` selects the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
+        Options: ``object_id`` selects an object of the category; ``hidden_overrides`` fixes hidden values. LeRobot's
+        option of a new rollout has no effect.
 
         Raises:
-            ConfigurationError: the object or hidden value does not exist.
+            ConfigurationError: the option, object or hidden value does not exist.
             UnreachableError: the arm cannot reach the part in any of the scenes.
         """
+        chosen = self._checked_options(options or {})
         super().reset(seed=seed)
         given = seed if seed is not None else int(self.np_random.integers(2**31))
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
-        chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
         self._monitor = self._record = self._image = None  # after a failed reset there is no episode
+        self._limit = ""
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
             sim,
@@ -111,15 +139,24 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             provenance=self._provenance,
             options=self.options,
         )
-        return self.observe(), {"is_success": False}
+        return self.observe(), self._info(False)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         had_succeeded = self._episode().success
         success, truncated = self.drive(action)
         reward = float(success and not had_succeeded)
-        info = {"is_success": success, **({"limit": self._episode().limit} if truncated else {})}
-        return self.observe(), reward, success, truncated, info
+        return self.observe(), reward, success, truncated, self._info(success)
+
+    def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
+
+        An episode that has ended keeps its result.
+        """
+        if self._record is None:
+            self._end(self._episode(), limit)
+        success, truncated = self._result()
+        return self.observe(), 0.0, success, truncated, self._info(success)
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
@@ -127,24 +164,52 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         sim.execute(np.asarray(action))
         self._image = None
         monitor.after_key_frame()
-        success = monitor.success if self._record is None else self._record.success
-        truncated = not success and (self._record is not None or monitor.limit is not None)
-        if (success or truncated) and self._record is None:
-            self._record = monitor.record()
-            if self._episode_log is not None:
-                self._episode_log.append(self._record)
-        return success, truncated
+        if self._record is None and (monitor.success or monitor.limit is not None):
+            self._end(monitor, "" if monitor.success else str(monitor.limit))
+        return self._result()
+
+    def _end(self, monitor: EpisodeMonitor, limit: str) -> None:
+        """Fixes the record of the episode and logs it."""
+        self._limit, self._record = limit, monitor.record()
+        if self._episode_log is not None:
+            self._episode_log.append(self._record)
+
+    def _result(self) -> tuple[bool, bool]:
+        """Returns whether the episode has succeeded, and whether it was truncated."""
+        success = self._record is not None and self._record.success
+        return success, self._record is not None and not success
+
+    def _info(self, success: bool) -> dict[str, Any]:
+        """Returns the info of a reset or step: always the same keys."""
+        return {"is_success": success, "limit": self._limit}
+
+    def _checked_options(self, options: Mapping[str, Any]) -> dict[str, Any]:
+        """Returns the simulator's options of a reset; raises `ConfigurationError` for an unknown one or a foreign object."""
+        for name in options:
+            require_choice("option of a reset", name, RESET_OPTIONS)
+        chosen = {name: value for name, value in options.items() if name != NEW_ROLLOUT}
+        object_id = chosen.get("object_id")
+        if object_id is not None and select_objects(self.category, str(object_id), self.options.assets) != (object_id,):
+            raise ConfigurationError(
+                "Not one object.", got=repr(object_id), allowed="the id of one object", hint="'safe_002'"
+            )
+        return chosen
 
     def observe(self) -> Observation:
         """Returns the present observation."""
         seen = self._running().observe(image=self.options.observe_images)
         self._image = seen.images.get(FRONT)
         observation: Observation = {
-            "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
-            "effort": seen.effort.astype(np.float32),
+            "agent_pos": self._bounded("agent_pos", state_vector(seen.feedback, seen.qpos, seen.qvel)),
+            "effort": self._bounded("effort", seen.effort.astype(np.float32)),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
         return {**observation, "pixels": seen.images} if seen.images else observation
+
+    def _bounded(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Clips values to the observation space: a simulated collision may tell any effort."""
+        space = self.observation_space[key]
+        return np.clip(values, space.low, space.high)
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
@@ -275,10 +340,33 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return self._sim
 
 
+def environment_spec(options: EnvironmentOptions) -> gym.envs.registration.EnvSpec:
+    """Returns the specification from which `gymnasium.make` makes an equal environment; JSON-serialisable."""
+    spec = copy.deepcopy(gym.spec(CATEGORIES[options.category].keyframe_id))
+    values, defaults = options.to_json(), EnvironmentOptions(options.category).to_json()
+    spec.kwargs |= {name: value for name, value in values.items() if value != defaults[name]}
+    return spec
+
+
+def _action_space() -> gym.spaces.Box:
+    """Returns the actions: positions that the arm is sent to, entries of a rotation matrix, gripper openings."""
+    low = np.array([*DEFAULT_MOTION.reach_lower, *[-1.0] * 6, 0.0], np.float32)
+    high = np.array([*DEFAULT_MOTION.reach_upper, *[1.0] * 6, 1.0], np.float32)
+    return gym.spaces.Box(low, high, dtype=np.float32)
+
+
 def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
-    shapes = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (options.num_points, 3)}
+    joints = [*[MAX_JOINT_POSITION] * NUM_JOINTS, *[MAX_JOINT_VELOCITY] * NUM_JOINTS]
+    # A cloud without points is zeros, also where the workspace does not contain the origin.
+    lower, upper = np.minimum(options.workspace.lower, 0.0), np.maximum(options.workspace.upper, 0.0)
+    bounds = {
+        "agent_pos": (np.r_[POSE_LOW, np.negative(joints)], np.r_[POSE_HIGH, joints]),
+        "effort": (np.full(NUM_JOINTS, -MAX_EFFORT), np.full(NUM_JOINTS, MAX_EFFORT)),
+        "point_cloud": (np.tile(lower, (options.num_points, 1)), np.tile(upper, (options.num_points, 1))),
+    }
     spaces: dict[str, gym.Space[Any]] = {
-        key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
+        key: gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
+        for key, (low, high) in bounds.items()
     }
     if options.observe_images:
         picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
