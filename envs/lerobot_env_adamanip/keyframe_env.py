@@ -123,13 +123,13 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             ConfigurationError: the option, object or hidden value does not exist.
             UnreachableError: the arm cannot reach the part in any of the scenes.
         """
+        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
+        self._limit = ""
         chosen = self._checked_options(options or {})
         super().reset(seed=seed)
         given = seed if seed is not None else int(self.np_random.integers(2**31))
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
         sim = self._started()
-        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
-        self._limit = ""
         drawn = self._placed(sim, wanted, chosen)
         self._monitor = EpisodeMonitor(
             sim,

@@ -11,6 +11,7 @@ import logging
 import multiprocessing
 import signal
 import time
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from multiprocessing import forkserver
 from typing import Any
@@ -35,6 +36,7 @@ WORKER_TIMEOUT_S = 600.0
 """Time limit of an answer [s]: a reset takes seconds, the first one a minute."""
 CLOSE_TIMEOUT_S = 10.0
 """Time that processes have to end by themselves [s]; then they are killed."""
+PRELOADED = ["lerobot_env_adamanip.fork_server_preload"]
 _OUT_OF_MEMORY = "a smaller --eval.batch_size, if memory ran out (about 1 GB per environment)"
 _AT_START = "`if __name__ == '__main__':` around your script; --eval.use_async_envs=false shows other causes"
 
@@ -192,6 +194,8 @@ class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
                 self._processes.start(self._makers)
             yield self._processes
         except (EOFError, ConnectionError) as error:
+            # Collecting frames that hold a half-sent message crashes Python 3.12.1.
+            traceback.clear_frames(error.__traceback__)
             endings = "; ".join([] if self._processes is None else self._processes.endings())
             self._stop(at_once=True)
             raise SimulatorError(
@@ -208,7 +212,8 @@ class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
                 allowed="an answer within that time",
                 hint="adamanip doctor; --eval.use_async_envs=false shows where it stands",
             ) from error
-        except BaseException:
+        except BaseException as error:
+            traceback.clear_frames(error.__traceback__)
             self._stop(at_once=True)
             raise
 
@@ -226,7 +231,7 @@ def start_server() -> None:
 
     Otherwise each environment imports the simulator, which takes 4 s of CPU time.
     """
-    _server.set_forkserver_preload(["lerobot_env_adamanip.fork_server_preload"])
+    _server.set_forkserver_preload(PRELOADED)
     with thread_limits():
         _server.ensure_running()
 

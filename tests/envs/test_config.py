@@ -46,6 +46,7 @@ def test_command_line_reaches_the_environment() -> None:
         "--env.workspace_lower=[0.2,-0.5,0.4]",
         "--env.split=train",
         "--env.render_backend=cpu",
+        "--env.observe_images=true",
     )
     assert isinstance(config, AdaManipSafeEnvConfig)
     assert (config.type, config.task, config.fps) == ("adamanip_safe", "safe", schema.FPS)
@@ -60,6 +61,7 @@ def test_command_line_reaches_the_environment() -> None:
         hidden_overrides={"locked": True},
         split="train",
         render_backend="cpu",
+        observe_images=True,
     )
     assert env.workspace.lower == (0.2, -0.5, 0.4)
 
