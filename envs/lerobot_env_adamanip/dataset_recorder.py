@@ -41,8 +41,8 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
     episode in progress: the same program continues in the same folder. The column ``action`` holds the actions as they
     were commanded. Episodes are kept with and without success; ``adamanip filter --where success=true`` selects.
 
-    Use one recorder per folder, and one environment per recorder. Attributes of `KeyframeEnv`, such as ``feedback``, can
-    be read from the recorder.
+    Use one recorder per folder, and one environment per recorder. Attributes of `KeyframeEnv`, such as ``feedback``,
+    can be read from the recorder.
 
     Args:
         env: environment, or a wrapper around it that changes neither actions nor observations.

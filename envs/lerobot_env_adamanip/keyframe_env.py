@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import logging
-from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,22 +11,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
-from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import depth_size
-from lerobot_adamanip.contract.schema import FPS, NUM_JOINTS
+from lerobot_adamanip.contract.schema import FPS
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError, UnreachableError, require_choice
+from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice
 from lerobot_adamanip.util.fingerprint import versions
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.fingerprint import code_fingerprint, environment_fingerprint
+from lerobot_env_adamanip.gym_interface import (
+    RENDER_MODE,
+    action_space,
+    clipped,
+    environment_spec,
+    observation_space,
+    reset_options,
+)
 from lerobot_env_adamanip.sim.render_device import observes_images
 from lerobot_env_adamanip.simulator import make_task, sensors_name
 
@@ -36,14 +41,6 @@ if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
-NEW_ROLLOUT = "lerobot_new_rollout"
-"""Option with which LeRobot resets at the start of a rollout: its `NEW_ROLLOUT_OPTION`, without importing LeRobot."""
-RESET_OPTIONS = ("object_id", "hidden_overrides", NEW_ROLLOUT)
-RENDER_MODE = "rgb_array"
-POSE_LOW, POSE_HIGH = (-2.0, -2.0, -2.0, *[-1.01] * 6, -1.0), (2.0, 2.0, 2.0, *[1.01] * 6, 2.0)
-"""Bounds of an observed tool pose: position [m], rotation 6D, gripper. Far outside of what the arm reaches."""
-MAX_JOINT_POSITION, MAX_JOINT_VELOCITY, MAX_EFFORT = 2 * np.pi, 100.0, 1000.0
-"""Bounds of the arm's observed joints [rad], [rad/s], [N m], far outside of its limits; observations are clipped."""
 SCENE_TRIES = 4
 """Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed."""
 _logger = logging.getLogger(__name__)
@@ -103,8 +100,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._episode_log, self._provenance = _log_of(self.options)
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
-        self.action_space = _action_space()
-        self.observation_space = _observation_space(self.options)
+        self.action_space = action_space()
+        self.observation_space = observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -125,7 +122,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         self._limit = ""
-        chosen = self._checked_options(options or {})
+        chosen = reset_options(self.options, options or {})
         super().reset(seed=seed)
         given = seed if seed is not None else int(self.np_random.integers(2**31))
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
@@ -183,33 +180,18 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Returns the info of a reset or step: always the same keys."""
         return {"is_success": success, "limit": self._limit}
 
-    def _checked_options(self, options: Mapping[str, Any]) -> dict[str, Any]:
-        """Returns the simulator's options of a reset; raises `ConfigurationError` for an unknown one or a foreign object."""
-        for name in options:
-            require_choice("option of a reset", name, RESET_OPTIONS)
-        chosen = {name: value for name, value in options.items() if name != NEW_ROLLOUT}
-        object_id = chosen.get("object_id")
-        if object_id is not None and select_objects(self.category, str(object_id), self.options.assets) != (object_id,):
-            raise ConfigurationError(
-                "Not one object.", got=repr(object_id), allowed="the id of one object", hint="'safe_002'"
-            )
-        return chosen
-
     def observe(self) -> Observation:
         """Returns the present observation."""
         seen = self._running().observe(image=self.options.observe_images)
         self._image = seen.images.get(FRONT)
         observation: Observation = {
-            "agent_pos": self._bounded("agent_pos", state_vector(seen.feedback, seen.qpos, seen.qvel)),
-            "effort": self._bounded("effort", seen.effort.astype(np.float32)),
+            "agent_pos": clipped(
+                state_vector(seen.feedback, seen.qpos, seen.qvel), self.observation_space["agent_pos"]
+            ),
+            "effort": clipped(seen.effort.astype(np.float32), self.observation_space["effort"]),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
         return {**observation, "pixels": seen.images} if seen.images else observation
-
-    def _bounded(self, key: str, values: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Clips values to the observation space: a simulated collision may tell any effort."""
-        space = self.observation_space[key]
-        return np.clip(values, space.low, space.high)
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
@@ -338,40 +320,6 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._episode()
         assert self._sim is not None
         return self._sim
-
-
-def environment_spec(options: EnvironmentOptions) -> gym.envs.registration.EnvSpec:
-    """Returns the specification from which `gymnasium.make` makes an equal environment; JSON-serialisable."""
-    spec = copy.deepcopy(gym.spec(CATEGORIES[options.category].keyframe_id))
-    values, defaults = options.to_json(), EnvironmentOptions(options.category).to_json()
-    spec.kwargs |= {name: value for name, value in values.items() if value != defaults[name]}
-    return spec
-
-
-def _action_space() -> gym.spaces.Box:
-    """Returns the actions: positions that the arm is sent to, entries of a rotation matrix, gripper openings."""
-    low = np.array([*DEFAULT_MOTION.reach_lower, *[-1.0] * 6, 0.0], np.float32)
-    high = np.array([*DEFAULT_MOTION.reach_upper, *[1.0] * 6, 1.0], np.float32)
-    return gym.spaces.Box(low, high, dtype=np.float32)
-
-
-def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
-    joints = [*[MAX_JOINT_POSITION] * NUM_JOINTS, *[MAX_JOINT_VELOCITY] * NUM_JOINTS]
-    # A cloud without points is zeros, also where the workspace does not contain the origin.
-    lower, upper = np.minimum(options.workspace.lower, 0.0), np.maximum(options.workspace.upper, 0.0)
-    bounds = {
-        "agent_pos": (np.r_[POSE_LOW, np.negative(joints)], np.r_[POSE_HIGH, joints]),
-        "effort": (np.full(NUM_JOINTS, -MAX_EFFORT), np.full(NUM_JOINTS, MAX_EFFORT)),
-        "point_cloud": (np.tile(lower, (options.num_points, 1)), np.tile(upper, (options.num_points, 1))),
-    }
-    spaces: dict[str, gym.Space[Any]] = {
-        key: gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
-        for key, (low, high) in bounds.items()
-    }
-    if options.observe_images:
-        picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
-        spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(CAMERAS, picture))
-    return gym.spaces.Dict(spaces)
 
 
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:

@@ -1,6 +1,6 @@
 """Vector environments for LeRobot's rollouts: an ended environment waits for the next reset, processes start lazily.
 
-They are `gymnasium.vector.VectorEnv`s. ``gymnasium.make_vec`` makes others, which reset an ended environment themselves.
+They are `gymnasium.vector.VectorEnv`s. Those of ``gymnasium.make_vec`` reset an ended environment themselves.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from gymnasium.vector.utils import batch_space
 from lerobot_adamanip.episode.options import MALFORMED_ACTION, EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import thread_limits
-from lerobot_env_adamanip.keyframe_env import NEW_ROLLOUT, KeyframeEnv
+from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 _log = logging.getLogger(__name__)

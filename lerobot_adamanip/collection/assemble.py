@@ -88,14 +88,14 @@ def assemble(
         attempts_path(folder).write_bytes(attempts_jsonl(contents.attempts))
         write_manifest(manifest_path(folder), contents.manifest)
 
-    return _assembled(folder, name, recorded, describe, progress, workers, workspace=None)
+    return _assembled(folder, name, recorded, describe, progress=progress, workers=workers)
 
 
 def assemble_recorded(folder: Path, name: str, recorded: Recorded) -> Path:
     """Writes a dataset without a manifest, syncs it and reads it back, like `assemble`."""
     box = recorded.environment.workspace
     workspace = None if box == DEFAULT_WORKSPACE else box
-    return _assembled(folder, name, recorded, lambda: None, lambda done, total: None, 1, workspace=workspace)
+    return _assembled(folder, name, recorded, lambda: None, workspace=workspace)
 
 
 def _assembled(
@@ -103,10 +103,10 @@ def _assembled(
     name: str,
     recorded: Recorded,
     describe: Callable[[], None],
-    progress: Callable[[int, int], None],
-    workers: int,
     *,
-    workspace: Workspace | None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    workers: int = 1,
+    workspace: Workspace | None = None,
 ) -> Path:
     if not recorded.shards:
         raise DatasetError(

@@ -83,7 +83,13 @@ def test_object_id_chooses_seen_and_unseen_objects(env: KeyframeEnv) -> None:
 
 
 def test_a_refused_reset_leaves_no_episode_and_the_next_works(env: KeyframeEnv) -> None:
-    for options in ({"object_id": "fridge_001"}, {"hidden_overrides": {"lokced": True}}):
+    for options in (
+        {"object_id": "fridge_001"},
+        {"object_id": "door_001"},
+        {"object_id": "0:2"},
+        {"objectid": "safe_002"},
+        {"hidden_overrides": {"lokced": True}},
+    ):
         with pytest.raises(ConfigurationError):
             env.reset(seed=5, options=options)
         with pytest.raises(gym.error.ResetNeeded):

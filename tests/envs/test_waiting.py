@@ -18,7 +18,7 @@ from lerobot.envs.utils import NEW_ROLLOUT_OPTION
 from lerobot_adamanip.episode.options import MALFORMED_ACTION
 from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip import vector
-from lerobot_env_adamanip.keyframe_env import NEW_ROLLOUT
+from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.vector import AsyncSimulators, SyncSimulators
 
 ZEROS = np.zeros((2, 1), np.float32)
@@ -31,7 +31,7 @@ SERVER = forkserver.ForkServer()
 def _light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes that import no simulator."""
     monkeypatch.setattr(vector, "_server", SERVER)
-    monkeypatch.setattr(vector, "PRELOADED", ["counter_env"])
+    monkeypatch.setattr(vector, "PRELOADED", ["lerobot.envs.utils", "lerobot_env_adamanip.vector"])
     monkeypatch.setattr(vector, "CLOSE_TIMEOUT_S", 3.0)
 
 
@@ -77,7 +77,11 @@ def test_both_are_gymnasiums_and_alike(envs: Any) -> None:
 def test_an_action_with_nan_fails_its_episode_and_no_other(envs: Any) -> None:
     envs.reset(seed=[0, 1])
     _, rewards, _, truncated, info = envs.step(np.array([[np.nan], [0.0]], np.float32))
-    assert (rewards.tolist(), truncated.tolist(), info["limit"].tolist()) == ([0, 1], [True, False], [MALFORMED_ACTION, ""])
+    assert (rewards.tolist(), truncated.tolist(), info["limit"].tolist()) == (
+        [0, 1],
+        [True, False],
+        [MALFORMED_ACTION, ""],
+    )
     assert envs.step(ZEROS)[2].tolist() == [False, True]
 
 

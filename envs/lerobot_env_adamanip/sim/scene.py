@@ -130,9 +130,9 @@ def person_camera() -> CameraConfig:
 def without_full_gc() -> Iterator[None]:
     """Makes a garbage collection inside the block cheap; ManiSkill runs a full one before each scene.
 
-    A process with torch and LeRobot has a million objects; checking them took 0.25 s of every reset. Every
-    `FULL_GC_EVERY`-th time the collection is full and frees the scenes before (7 MB of safes). Objects that the caller has
-    frozen stay frozen.
+    A process with torch and LeRobot has a million objects; checking them took 0.26 s of every reset. Every
+    `FULL_GC_EVERY`-th time the collection is full and frees the scenes before (7 MB of safes). Objects that the caller
+    has frozen stay frozen.
     """
     if next(_clears) % FULL_GC_EVERY == 0 or gc.get_freeze_count() > _FROZEN_BY_PYTHON:
         yield
