@@ -109,11 +109,9 @@ class AdaManipEnvConfig(EnvConfig):
             if self.mechanism_preset != self.mechanism_rules:  # stored by trainings of version 0.2
                 refuse_former_name("mechanism_preset", self.mechanism_preset)
             if self.max_parallel_tasks != 1:
+                what, hint = "Parallel tasks would mix the histories of one policy object.", "--eval.batch_size=4"
                 raise ConfigurationError(
-                    "Parallel tasks would share one policy object and mix its histories.",
-                    got=f"max_parallel_tasks={self.max_parallel_tasks}",
-                    allowed="1",
-                    hint="--eval.batch_size=4 for parallel episodes; one lerobot-eval per category for parallel tasks",
+                    what, got=f"max_parallel_tasks={self.max_parallel_tasks}", allowed=1, hint=hint
                 )
             for group in self._groups().values():
                 self._options(**group)
@@ -157,9 +155,7 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next reset.
-
-        Images that this machine does not render are removed from the features.
+        """Returns ``{type: {0: vector environment}}``; removes images from the features that nothing renders.
 
         Raises:
             ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.

@@ -38,8 +38,9 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
     """Records each episode of a `KeyframeEnv` that is stepped through it; `save` makes the dataset.
 
     An episode is written when it ends, and when the next reset or `save` cuts it short. A killed program loses only the
-    episode in progress: the same program continues in the same folder. The column ``action`` holds the actions as they
-    were commanded. Episodes are kept with and without success; ``adamanip filter --where success=true`` selects.
+    episode in progress: the same program continues in the same folder. The column ``action`` holds the commanded
+    actions, with orthonormal rotations. Episodes are kept with and without success; ``adamanip filter --where
+    success=true`` selects.
 
     Use one recorder per folder, and one environment per recorder. Attributes of `KeyframeEnv`, such as ``feedback``,
     can be read from the recorder.
@@ -115,14 +116,12 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         """Steps the environment and records the key frame; writes the episode at its end."""
         following, reward, terminated, truncated, info = self.env.step(action)
         if self._recorder is not None:
-            sent = np.array(action, np.float32)
-            pose, gripper = pose_from_vector(sent)
+            pose, gripper = pose_from_vector(np.array(action, np.float64))
             goal = Goal(pose, gripper, cast("Phase", UNLABELLED))
             labels = self._env.labels
             self._recorder.record(
                 KeyFrame(self._observation, goal, self._env.feedback, following, info["is_success"], labels)
             )
-            self._recorder.rows[-1] |= {schema.ACTION: sent, schema.EXECUTED: sent}
             self._observation = following
             if terminated or truncated:
                 self._write()

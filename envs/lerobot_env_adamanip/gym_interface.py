@@ -37,7 +37,7 @@ def environment_spec(options: EnvironmentOptions) -> gym.envs.registration.EnvSp
 
 
 def action_space() -> gym.spaces.Box:
-    """Returns the space of actions: positions that the arm is sent to, entries of a rotation matrix, gripper openings."""
+    """Returns the space of actions: positions within reach, entries of a rotation matrix, gripper openings."""
     low = np.array([*DEFAULT_MOTION.reach_lower, *[-1.0] * 6, 0.0], np.float32)
     high = np.array([*DEFAULT_MOTION.reach_upper, *[1.0] * 6, 1.0], np.float32)
     return gym.spaces.Box(low, high, dtype=np.float32)

@@ -183,12 +183,10 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def observe(self) -> Observation:
         """Returns the present observation."""
         seen = self._running().observe(image=self.options.observe_images)
-        self._image = seen.images.get(FRONT)
+        self._image, spaces = seen.images.get(FRONT), self.observation_space
         observation: Observation = {
-            "agent_pos": clipped(
-                state_vector(seen.feedback, seen.qpos, seen.qvel), self.observation_space["agent_pos"]
-            ),
-            "effort": clipped(seen.effort.astype(np.float32), self.observation_space["effort"]),
+            "agent_pos": clipped(state_vector(seen.feedback, seen.qpos, seen.qvel), spaces["agent_pos"]),
+            "effort": clipped(seen.effort.astype(np.float32), spaces["effort"]),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
         return {**observation, "pixels": seen.images} if seen.images else observation
