@@ -36,7 +36,7 @@ def environment_spec(options: EnvironmentOptions) -> gym.envs.registration.EnvSp
     return spec
 
 
-def action_space() -> gym.spaces.Box:
+def action_space() -> gym.Space[Any]:
     """Returns the space of actions: positions within reach, entries of a rotation matrix, gripper openings."""
     low = np.array([*DEFAULT_MOTION.reach_lower, *[-1.0] * 6, 0.0], np.float32)
     high = np.array([*DEFAULT_MOTION.reach_upper, *[1.0] * 6, 1.0], np.float32)

@@ -182,8 +182,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def observe(self) -> Observation:
         """Returns the present observation."""
-        seen = self._running().observe(image=self.options.observe_images)
-        self._image, spaces = seen.images.get(FRONT), self.observation_space
+        seen = self._running().observe(image=bool(self.options.observe_images))
+        self._image = seen.images.get(FRONT)
+        spaces: Any = self.observation_space
         observation: Observation = {
             "agent_pos": clipped(state_vector(seen.feedback, seen.qpos, seen.qvel), spaces["agent_pos"]),
             "effort": clipped(seen.effort.astype(np.float32), spaces["effort"]),
