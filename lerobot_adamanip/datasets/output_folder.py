@@ -20,14 +20,17 @@ from lerobot_adamanip.util.errors import DatasetError
 
 COLLECTING, RENDERING, WRITING, CONVERTING = ".partial", ".rendering", ".writing", ".converting"
 """Suffixes of the work folders of collect; render; filter, split and merge; keyframes."""
+RECORDING = ".recording"
+"""Suffix of the work folder of `lerobot_env_adamanip.dataset_recorder.DatasetRecorder`."""
 WORK_FOLDERS = {
     COLLECTING: ("episodes", "attempts", "failed", "collection.json", "dataset", "dataset-failed"),
     RENDERING: ("episodes", "collection.json", "source", "dataset"),
     WRITING: ("dataset",),
     CONVERTING: ("episodes", "dataset", "merged"),
+    RECORDING: ("episodes", "recording.json", "dataset"),
 }
 """Suffix -> allowed names in such a folder."""
-_RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
+_RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render", RECORDING: "program with DatasetRecorder"}
 """Suffix -> command that can resume from the episodes there."""
 _EPISODE_FOLDERS = ("episodes", "failed")
 _PROBE = "probe"

@@ -55,7 +55,7 @@ def preload(*modules: str) -> None:
     from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 
     set_forkserver_preload(list(modules))
-    with _thread_limits():
+    with thread_limits():
         ensure_running()
     _preloaded.extend(modules)
 
@@ -184,7 +184,7 @@ class WorkerPool[Item]:
         here, there = context.Pipe()
         render_threads = max(1, (os.cpu_count() or 1) // self._count)
         process = context.Process(target=_serve, args=(there, self._session, render_threads), daemon=True)
-        with _thread_limits():
+        with thread_limits():
             process.start()
         there.close()
         worker = _Worker(process, here, item)
@@ -230,7 +230,7 @@ def _exit_cause(exit_code: int | None) -> str:
 
 
 @contextlib.contextmanager
-def _thread_limits() -> Iterator[None]:
+def thread_limits() -> Iterator[None]:
     """Sets `THREAD_LIMITS` while a process starts, because libraries read them when they are loaded."""
     before = {name: os.environ.get(name) for name in THREAD_LIMITS}
     os.environ.update(THREAD_LIMITS)

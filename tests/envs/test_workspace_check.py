@@ -11,7 +11,7 @@ import pytest
 import lerobot_env_adamanip  # noqa: F401  (registers the policies)
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
-from lerobot_env_adamanip.workspace_check import require_same_workspace
+from lerobot_env_adamanip.policy_check import require_fitting_policy
 
 CHECKPOINT = Path(__file__).parents[1] / "policies" / "demo_checkpoint"
 LOWER, UPPER = (0.2, -0.5, -0.05), (0.9, 0.5, 0.6)
@@ -22,13 +22,13 @@ def test_a_policy_of_another_workspace_is_refused(tmp_path: Path, monkeypatch: p
     box = {"workspace_lower": list(LOWER), "workspace_upper": list(UPPER)}
     (tmp_path / "config.json").write_text(json.dumps({**settings, **box}))
     default, same = AdaManipSafeEnvConfig(), AdaManipSafeEnvConfig(workspace_lower=LOWER, workspace_upper=UPPER)
-    require_same_workspace(same)  # no policy is given
+    require_fitting_policy(same, ["safe"])  # no policy is given
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={tmp_path}"])
-    require_same_workspace(same)
+    require_fitting_policy(same, ["safe"])
     pattern = (
         r"(?s)another workspace.*allowed: \(0\.2, -0\.5, -0\.05\).*--env\.workspace_lower='\[0\.2, -0\.5, -0\.05\]'"
     )
     with pytest.raises(ConfigurationError, match=pattern):
         default.create_envs(1)
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={CHECKPOINT}"])
-    require_same_workspace(default)
+    require_fitting_policy(default, ["safe"])

@@ -1,7 +1,6 @@
 """Base of the policies: strict loading of checkpoints, selection of inputs, and a model card for the Hub."""
 
 import copy
-import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
@@ -158,17 +157,10 @@ class CloudPolicy(PreTrainedPolicy):
 
 def log_training_objects(checkpoint: Path) -> None:
     """Logs the objects a checkpoint was trained on, from its ``train_config.json``, if the dataset is available."""
-    from lerobot.utils.constants import HF_LEROBOT_HOME
+    from lerobot_adamanip.datasets.training_data import training_objects
 
-    from lerobot_adamanip.datasets.reading import episode_table
-
-    try:
-        dataset = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))["dataset"]
-        root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
-        objects = sorted(set(map(str, episode_table(root)["object_id"].to_pylist())))
-    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or not available
-        return
-    _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
+    if objects := training_objects(checkpoint):
+        _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
 
 
 class ChunkGuard:
