@@ -173,10 +173,8 @@ class AdaManipEnvConfig(EnvConfig):
         for name in () if observed else CAMERAS:
             self.features.pop(f"pixels/{name}", None)
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
-        options = {
-            name: self._options(**group, observe_images=observed, run_id=run_id)
-            for name, group in self._groups().items()
-        }
+        common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
+        options = {name: self._options(**group, **common) for name, group in self._groups().items()}
         require_fitting_policy(self, [each.category for each in options.values()])
         return {name: {0: make_vector_env(each, n_envs, use_async_envs)} for name, each in options.items()}
 
