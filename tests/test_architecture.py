@@ -21,7 +21,7 @@ from lerobot_adamanip.util import errors
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"
 PACKAGES = (ROOT / CORE, ROOT / "envs/lerobot_env_adamanip", ROOT / "policies/lerobot_policy_adamanip")
-MAX_FILE_LINES, MAX_TABLE_LINES, MAX_FUNCTION_LINES = 300, 350, 40
+MAX_FILE_LINES, MAX_TABLE_LINES, MAX_FUNCTION_LINES = 500, 500, 60
 MODULE_OF_OTHERS = re.compile(r"(lerobot_env_adamanip|lerobot_policy_adamanip|sapien|mani_skill|diffusers)[.:]\w")
 TOO_HEAVY_FOR_A_PLUGIN = (
     "sapien", "mani_skill", "diffusers", "trimesh", "matplotlib", "scipy.spatial", "gymnasium.vector",

@@ -146,7 +146,7 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         super().close()
 
     def _begin(self) -> None:
-        """Creates the folder of episodes, or checks that its episodes were recorded with the same options and versions."""
+        """Creates the folder of episodes, or checks that its episodes have the same options and versions."""
         path, folder = self._output.work / "recording.json", self._output.work / "episodes"
         own = {
             "environment": environment_json(self._env.options),

@@ -43,13 +43,13 @@ def env(env_type: str, envs: Any) -> Any:
 def test_spaces_seeding_and_success_are_as_agreed(env: KeyframeEnv, env_type: str) -> None:
     first, info = env.reset(seed=5)
     assert env.observation_space.contains(first)
-    assert info == {"is_success": False, "limit": ""}
+    assert info == {"is_success": False, "limit": "", "goal_clipped": False}
     assert type(info["is_success"]) is bool
     category = CATEGORIES[env_type.removeprefix("adamanip_")]
     assert env.task == env.task_description == category.instruction
     step, reward, terminated, truncated, info = env.step(stay(env))
     assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-    assert set(info) == {"is_success", "limit"}
+    assert set(info) == {"is_success", "limit", "goal_clipped"}
     for observation in (first, step):
         assert env.observation_space.contains(observation)
         assert all(np.isfinite(observation[key]).all() for key in ("agent_pos", "effort", "point_cloud"))
