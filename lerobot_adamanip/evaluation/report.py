@@ -17,6 +17,7 @@ from lerobot_adamanip.evaluation.groups import (
     without_repeats,
     worth_showing,
 )
+from lerobot_adamanip.evaluation.metric_values import Mean, encode
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
 from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
@@ -120,11 +121,13 @@ class Comparison:
     Attributes:
         summaries: by label, with equal boundaries of continuous hidden values.
         differences: of the first from each other one on the same scene split, by group.
+        extra_tries: label of another one -> failed tries of the first minus its own, in the scenes that both opened.
         warnings: mixed or incomparable evaluations.
     """
 
     summaries: Mapping[str, EvaluationSummary]
     differences: tuple[GroupDifference, ...]
+    extra_tries: Mapping[str, Mean]
     warnings: tuple[str, ...]
 
     @property
@@ -166,6 +169,10 @@ class Comparison:
             if one.group in shown:
                 gap, low, high = (100 * value for value in (one.success.difference, one.success.low, one.success.high))
                 yield f"{one.first} - {one.second}, {one.group.label}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
+        for label, extra in self.extra_tries.items():
+            if extra.value is not None:
+                scenes = f"{extra.count} scenes that both opened"
+                yield f"{next(iter(self.summaries))} - {label}, failed tries in the {scenes}: {extra.value:+.2f}"
         for label, summary in self.summaries.items():
             failed = [
                 f"{name} {each.episodes - each.count}/{each.episodes}"
@@ -183,6 +190,7 @@ class Comparison:
                 {"first": one.first, "second": one.second, **asdict(one.group), **asdict(one.success)}
                 for one in self.differences
             ],
+            "extra_tries": encode(self.extra_tries),
             "warnings": list(self.warnings),
         }
 
@@ -203,7 +211,18 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         for group in reference.groups
         if group in summary.groups
     )
-    return Comparison(summaries, differences, tuple(warnings_of(summaries)))
+    mine, *theirs = (_failed_tries(records) for records in evaluations.values())
+    extra = {
+        label: Mean(sum(mine[scene] - tries[scene] for scene in both), len(both))
+        for label, tries in zip(list(evaluations)[1:], theirs, strict=True)
+        for both in [mine.keys() & tries.keys()]
+    }
+    return Comparison(summaries, differences, extra, tuple(warnings_of(summaries)))
+
+
+def _failed_tries(records: Sequence[EpisodeRecord]) -> dict[tuple[object, ...], int]:
+    """Returns scene -> failed tries of the successes."""
+    return {each.identity: each.failed_tries for each in without_repeats(records) if each.success}
 
 
 def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
