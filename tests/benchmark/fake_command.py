@@ -51,7 +51,15 @@ def collect(root: Path, options: dict[str, str]) -> int:
             path.with_suffix(".tmp").write_text(digest(decides, slot))
             path.with_suffix(".tmp").rename(path)
     (partial / "meta").mkdir(exist_ok=True)
-    (partial / "meta" / "info.json").write_text(json.dumps({"features": {"action": {"names": POSE_NAMES}}}))
+    action = {"dtype": "float32", "shape": [len(POSE_NAMES)], "names": POSE_NAMES}
+    info = {
+        "codebase_version": "v3.0",
+        "total_episodes": 1,
+        "total_frames": 2,
+        "fps": 4,
+        "features": {"action": action},
+    }
+    (partial / "meta" / "info.json").write_text(json.dumps(info))
     (partial / "meta" / "stats.json").write_text(json.dumps({"action": {"min": [0.25] * 10, "max": [0.5] * 10}}))
     moment()
     (partial / "meta" / "collection.json").write_text("{}")
