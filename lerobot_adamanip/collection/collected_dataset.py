@@ -84,7 +84,7 @@ class CollectedDataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {number} of {self.source.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint="another episode; adamanip check lists the damage",
+                hint=f"another episode; what is damaged: adamanip check {self.source.root.name}",
             ) from error
 
     def _record(self, row: dict[str, Any]) -> dict[str, Any]:

@@ -194,7 +194,7 @@ def damaged(folder: Path, what: object) -> DatasetError:
         "This dataset is half written or damaged.",
         got=f"{folder}: {what}",
         allowed="complete Parquet, JSON and video files",
-        hint=f"adamanip check {as_typed(folder)} --repair, which mends counts and statistics and lists other damage",
+        hint=f"adamanip check {as_typed(folder)} --repair, which repairs counts and statistics and lists other damage",
     )
 
 

@@ -120,8 +120,8 @@ def test_joints_are_held_until_a_try_and_again_when_they_stand(world: World) -> 
     assert world.tracker.at_rest() == {"door", "knob"}
 
 
-actions = st.lists(st.tuples(st.sampled_from(["blocked", "moves", "rests", "free"]), st.sampled_from(["door", "knob"]),
-                             st.sampled_from([1, -1]), st.integers(1, 12)), max_size=12)  # fmt: skip
+kinds, joints = st.sampled_from(["blocked", "moves", "rests", "free"]), st.sampled_from(["door", "knob"])
+actions = st.lists(st.tuples(kinds, joints, st.sampled_from([1, -1]), st.integers(1, 12)), max_size=12)
 
 
 @given(actions)

@@ -25,16 +25,6 @@ POINTS, PIXELS = 16, 64
 class SoundEnv(demos_fake_env.FakeEnv):
     """Points in the workspace, tools turned by rotations, pictures of one colour an episode, a record of every try."""
 
-    def reset(self, **given: Any) -> Any:
-        self.tries: list[tuple[int, int, bool]] = []
-        return super().reset(**given)
-
-    def drive(self, action: np.ndarray) -> tuple[bool, bool]:
-        result = super().drive(action)
-        if self.labels.tried >= 0:
-            self.tries.append((self.labels.tried, 1, bool(self.labels.failed)))
-        return result
-
     def observe(self) -> dict[str, Any]:
         pose = pose_vector(self.pose, float(self.generator.random()))
         rest = self.generator.normal(size=schema.STATE_DIM - schema.ACTION_DIM)
@@ -68,7 +58,7 @@ class SoundEnv(demos_fake_env.FakeEnv):
             clipped_goals=0,
             max_failed_tries=None,
             poses="randomized",
-            try_sequence=tuple(self.tries),
+            try_sequence=tuple((joint, way, bool(failed)) for joint, way, failed in self.tries),
             provenance=Provenance("0123456789abcdef", "0", "paper"),
         ).to_json()
 

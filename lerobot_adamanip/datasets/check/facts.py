@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -69,20 +69,14 @@ def read_collection(root: Path, assets: Path | None, report: Report) -> Collecte
 
 
 def count_labels(where: Rows, columns: Mapping[str, NDArray[Any]]) -> dict[int, dict[str, int]]:
-    """Returns episode -> ``tries``, ``failed_tries`` and ``success``, counted from its rows."""
-    counts: dict[str, tuple[str, Callable[[NDArray[Any]], Any]]] = {
-        "tries": (schema.TRIED, lambda tried: np.count_nonzero(tried >= 0)),
-        "failed_tries": (schema.FAILED, np.count_nonzero),
-        "success": (schema.SUCCESS, np.any),
-    }
-    return {
-        number: {name: int(count(columns[key][rows])) for name, (key, count) in counts.items() if key in columns}
-        for number, rows in where.runs()
-    }
+    """Returns episode -> ``success``, read from its rows. Tries are not counted there: one may last several rows."""
+    if schema.SUCCESS not in columns:
+        return {number: {} for number, _ in where.runs()}
+    return {number: {"success": int(np.any(columns[schema.SUCCESS][rows]))} for number, rows in where.runs()}
 
 
 def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    """Checks recorded episodes: failed tries add up, success stays, and only the last row ends the episode.
+    """Checks recorded episodes: failed tries count up, success stays, and only the last row ends the episode.
 
     Applies to datasets with episode columns (`check_facts`): `EpisodeRecorder` writes both.
     """
@@ -96,12 +90,10 @@ def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Repor
         success = columns[schema.SUCCESS].astype(np.int8)
         wrong = ~first & (np.diff(success, prepend=success[:1]) < 0)
         report.add_rows("label", f"{schema.SUCCESS} turns false again", where, wrong)
-    if schema.TRIAL in columns and schema.FAILED in columns:
-        failed = columns[schema.FAILED].astype(np.int64)
-        before = np.cumsum(failed) - failed
-        counted = before - np.repeat(before[starts], np.diff(np.r_[starts, len(before)]))
-        wrong = (columns[schema.TRIAL] != counted) & (columns[schema.TRIAL] != UNLABELLED)
-        report.add_rows("label", f"{schema.TRIAL} is not the number of earlier failed tries", where, wrong)
+    if schema.TRIAL in columns:
+        trial = columns[schema.TRIAL].astype(np.int64)
+        wrong = np.where(first, trial != 0, np.diff(trial, prepend=trial[:1]) < 0) & (trial != UNLABELLED)
+        report.add_rows("label", f"{schema.TRIAL} does not count failed tries up from 0", where, wrong)
 
 
 def has_facts(layout: Layout) -> bool:
@@ -156,6 +148,11 @@ def _check_row(row: Row) -> None:
         if "late" in row and flag("late", row["late"]) != bool(len(actions)):
             raise ValueError(f"late is {row['late']}, but start tells of {len(actions)} actions")
     told = _VALUES("episode_record", parsed.get("episode_record", {}))
+    if "try_sequence" in told:
+        failed = [fails for _, _, fails in told["try_sequence"]]
+        if (row["tries"], row["failed_tries"]) != (len(failed), sum(failed)):
+            counts = f"{row['failed_tries']} of {row['tries']} tries failed"
+            raise ValueError(f"{counts}, but episode_record says {sum(failed)} of {len(failed)}")
     own = {"object_id": object_id, "seed": row["seed"], "hidden_state": parsed["hidden_state"]}
     for name, value in own.items():
         if name in told and told[name] != value:
