@@ -82,6 +82,9 @@ def _rules() -> str:
         for name, words in MECHANISM_RULES.items()
     ]
     lines.append("\n## Where do they differ?\n")
+    lines.append(
+        "In the other categories, all rules are equal: `hard` makes nothing harder there. `collect` says so.\n"
+    )
     lines += [f"| category | what | {' | '.join(f'`{name}`' for name in names)} |", "|---|---|" + "---|" * len(names)]
     for category in CATEGORIES:
         obj = make_object(object_id(category, 0))

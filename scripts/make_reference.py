@@ -11,7 +11,7 @@ import inspect
 import re
 import sys
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -28,6 +28,11 @@ GROUPS = {
     "evaluate": ("Evaluate and compare", ("report", "benchmark", "expert", "bench")),
     "setup": ("Objects, cameras, installation", ("doctor", "objects", "annotate", "calibrate")),
 }
+IN_PYTHON = {
+    "episode_length": "`max_key_frames`", "workspace_lower": "`workspace`", "workspace_upper": "`workspace`",
+    **dict.fromkeys(("task", "max_parallel_tasks", "fps"), ""),
+}  # fmt: skip
+"""Option of LeRobot's commands -> option of `KeyframeEnv`, where the two differ."""
 HEAD = "Generated from the source by `python scripts/make_reference.py`; a test compares the two.\n"
 
 
@@ -63,9 +68,10 @@ def _own_options(cls: type) -> Iterator[Option]:
             yield Option(node.target.id, ast.unparse(node.annotation), " ".join(text.split()))  # type: ignore[union-attr]
 
 
-def _table(rows: list[tuple[str, str, str]]) -> str:
+def _table(rows: Sequence[tuple[str, ...]], head: Sequence[str] = ("option", "default", "meaning")) -> str:
     cells = [tuple(cell.replace("|", "\\|") for cell in row) for row in rows]
-    return "\n".join(["| option | default | meaning |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)])
+    lines = [f"| {' | '.join(row)} |" for row in (head, *cells)]
+    return "\n".join([lines[0], f"|{'---|' * len(head)}", *lines[1:]])
 
 
 def _default(cls: type, option: Option) -> str:
@@ -113,18 +119,27 @@ def _environments() -> str:
     suite = EnvConfig.get_choice_class("adamanip")
     shared = [each for each in options(suite) if each.name != "categories"]
     names = {each.name for each in shared}
-    rows = [(f"`--env.{each.name}`", _default(suite, each), each.text) for each in shared]
+    rows = [
+        (f"`--env.{each.name}`", IN_PYTHON.get(each.name, f"`{each.name}`"), _default(suite, each), each.text)
+        for each in shared
+    ]
     own = [(name, each) for name, cls in classes.items() for each in options(cls) if each.name not in names]
     hidden = [f"| `{name}` | `--env.{each.name}` | {each.text} |" for name, each in own]
-    types = [f"| `adamanip_{name}` | {category.instruction} |" for name, category in CATEGORIES.items()]
+    types = [
+        f"| `adamanip_{name}` | `{category.keyframe_id}` | {category.instruction} |"
+        for name, category in CATEGORIES.items()
+    ]
     page = [
         "# Environments\n", HEAD,
-        "Options of `lerobot-train`, `lerobot-eval` and `KeyframeEnv(..., name=value)`.\n",
+        "Options of `lerobot-train` and `lerobot-eval` (`--env.NAME=VALUE`), and of Python, in "
+        "`KeyframeEnv(\"safe\", NAME=VALUE)` and `gymnasium.make(\"AdaManipKeyframe-Safe-v0\", NAME=VALUE)`.\n",
         "## Which environments are there?\n",
-        "| `--env.type` | task |", "|---|---|", *types,
-        "| `adamanip` | all nine in turn; `--env.categories=safe,door` chooses |",
-        "\n## Options of every environment\n", _table(rows),
-        "\n## How do I fix a hidden value?\n", "| category | option | meaning |", "|---|---|---|", *hidden, "",
+        "| `--env.type` | `gymnasium.make` | task |", "|---|---|---|", *types,
+        "| `adamanip` | | all nine in turn; `--env.categories=safe,door` chooses |",
+        "\n## Options of every environment\n", _table(rows, ("option", "in Python", "default", "meaning")),
+        "\n## How do I fix a hidden value?\n",
+        "In Python: `hidden_overrides={\"locked\": True}`, as an option or in `reset(options=...)`.\n",
+        "| category | option | meaning |", "|---|---|---|", *hidden, "",
     ]  # fmt: skip
     return "\n".join(page)
 

@@ -102,7 +102,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as scratch:
             for each in publications(options, Path(scratch)):
                 begin = time.perf_counter()
-                sizes, result = each.publish()
+                sizes, result, _ = each.publish()
                 seconds = round(time.perf_counter() - begin, 1)
                 sent, total = {} if result is None else asdict(result), sum(sizes.values())
                 rows.append({**sent, "kind": each.kind, "repo_id": each.repo_id, "bytes": total, "seconds": seconds})

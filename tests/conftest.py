@@ -64,14 +64,6 @@ def _keep_log_level() -> Iterator[None]:
         root.setLevel(level)
 
 
-@pytest.fixture(autouse=True)
-def _keep_denormal_numbers() -> Iterator[None]:
-    """Building an optimizer of ours flushes denormal numbers in its process; the tests after it have them again."""
-    yield
-    if "torch" in sys.modules:
-        sys.modules["torch"].set_flush_denormal(False)
-
-
 # Machines are shared: how long an example takes says nothing about the code.
 hypothesis.settings.register_profile("shared", deadline=None)
 hypothesis.settings.load_profile("shared")

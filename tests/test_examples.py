@@ -10,9 +10,11 @@ from pathlib import Path
 import pytest
 from doc_data import collect_fake_demos
 
+from lerobot_adamanip.datasets.check.dataset import check
+
 ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-TESTED = {"watch_an_expert", "hidden_state", "load_dataset", "own_expert", "evaluate_a_policy"}
+TESTED = {"watch_an_expert", "hidden_state", "load_dataset", "own_expert", "evaluate_a_policy", "record_a_policy"}
 
 
 Run = Callable[..., str]
@@ -45,6 +47,13 @@ def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:
     said = run("load_dataset", "outputs/demos")
     assert "observation.point_cloud" in said
     assert "failed tries so far" in said
+
+
+@pytest.mark.sim
+def test_a_policy_is_recorded_as_a_dataset(tmp_path: Path, run: Run) -> None:
+    said = run("record_a_policy", "outputs/mine", "--category", "lamp", "--episodes", "2")
+    assert "dataset: " in said
+    assert check(tmp_path / "outputs" / "mine").findings == []
 
 
 @pytest.mark.sim

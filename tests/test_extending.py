@@ -41,7 +41,7 @@ def apply(change: Change, tree: Path) -> None:
     path = tree / change.path
     if change.kind == "new":
         assert not path.exists()
-        path.parent.mkdir(exist_ok=True)
+        path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(change.code, encoding="utf-8")
         return
     text = path.read_text(encoding="utf-8")
@@ -72,7 +72,7 @@ def run(tree: Path, code: str, *arguments: str) -> str:
 
 
 def run_python(tree: Path, *arguments: str) -> str:
-    paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies", "tests/experts"))
+    paths = os.pathsep.join(str(tree / name) for name in ("", "envs", "policies", "my_package", "tests/experts"))
     environment = {**os.environ, "PYTHONPATH": paths}
     done = subprocess.run(
         [sys.executable, *arguments], cwd=tree, env=environment, capture_output=True, text=True, check=False
@@ -152,7 +152,9 @@ assert reach.part == "cap" and len(reach.paths) == 2
 @pytest.mark.sim
 def test_every_edited_module_can_be_imported(tree: Path) -> None:
     paths = [change.path for change in changes(PAGE, MECHANISM_PAGE, POLICY_PAGE)]
-    modules = [re.sub(r"^(envs|policies)/|\.py$|/__init__\.py$", "", path).replace("/", ".") for path in paths]
+    modules = [
+        re.sub(r"^(envs|policies|my_package)/|\.py$|/__init__\.py$", "", path).replace("/", ".") for path in paths
+    ]
     run(tree, EDITED_MODULES, *(name for name in modules if not name.startswith("tests.")))
 
 
@@ -219,7 +221,7 @@ def test_the_tenth_category_is_opened_in_the_simulator(tree: Path) -> None:
 
 TRAINED_AND_EVALUATED = """
 import json, sys
-import lerobot_env_adamanip
+import lerobot_env_adamanip, lerobot_policy_hold_still
 from lerobot.scripts import lerobot_eval, lerobot_train
 
 demos, out = sys.argv[1:]

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import os
+import resource
+import signal
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -68,3 +71,36 @@ def test_a_move_is_durable(tmp_path: Path, synced: list[Path]) -> None:
     files.move_durably(tmp_path / "from" / "here", tmp_path / "to" / "there")
     assert (tmp_path / "to" / "there").is_dir()
     assert synced == [tmp_path / "to", tmp_path / "from"]
+
+
+def test_a_line_that_does_not_fit_is_an_error_and_damages_no_other_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = tmp_path / "new" / "log"
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (150, limits[1]))
+        files.append_line(log, "a" * 100)
+        with pytest.raises(OSError, match="File too large"):
+            files.append_line(log, "b" * 100)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    files.append_line(log, "c")
+    files.append_line(log, "d")
+    assert log.read_text() == "a" * 100 + "\n" + "b" * 49 + "\nc\nd\n"
+
+
+def test_threads_write_one_file_at_once(tmp_path: Path) -> None:
+    contents = [bytes([number]) * 100_000 for number in range(64)]
+    with ThreadPoolExecutor(8) as threads:
+        list(threads.map(lambda content: files.write_atomically(tmp_path / "a", content), contents))
+    assert (tmp_path / "a").read_bytes() in contents
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_processes_append_to_one_log(tmp_path: Path) -> None:
+    with ThreadPoolExecutor(8) as threads:  # each call opens the file anew, as a process does
+        list(threads.map(lambda number: files.append_line(tmp_path / "log", f"{number:04d}" * 3000), range(64)))
+    assert sorted((tmp_path / "log").read_text().split()) == [f"{number:04d}" * 3000 for number in range(64)]

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -68,6 +70,44 @@ def test_slow_work_with_heartbeats_is_let_alone(tmp_path: Path) -> None:
 def test_an_error_of_the_work_itself_ends_everything(tmp_path: Path, item: str, text: str) -> None:
     with pytest.raises(WorkerError, match=text):
         run(tmp_path, [item, 1])
+
+
+class Clock:
+    """A clock whose ``offset`` [s] a test changes, as if time had passed."""
+
+    offset = 0.0
+
+    def __call__(self) -> float:
+        return time.monotonic() + self.offset
+
+
+def test_a_pause_of_this_process_costs_no_worker(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock, wait = Clock(), jobs.wait
+
+    def paused(*arguments: Any, **options: Any) -> Any:
+        ready = wait(*arguments, **options)
+        clock.offset += 3600
+        monkeypatch.setattr(jobs, "wait", wait)
+        return ready
+
+    monkeypatch.setattr(jobs, "wait", paused)
+    assert run(tmp_path, ["always:short"], timeout=8.0, clock=clock)["always:short"].value == "short"
+    assert len(list(tmp_path.glob("session-*"))) == 1
+
+
+def test_a_slow_caller_costs_no_worker(tmp_path: Path) -> None:
+    clock = Clock()
+    with WorkerPool[Any](functools.partial(session, tmp_path), 2, timeout=8.0, clock=clock) as pool:
+        for result in pool.run([1, "always:short"]):
+            assert result.death is None
+            clock.offset += 3600
+    assert len(list(tmp_path.glob("session-*"))) == 2
+
+
+def test_a_worker_that_hangs_is_found_although_this_process_pauses(tmp_path: Path) -> None:
+    jumps = itertools.count()
+    results = run(tmp_path, [1, "always:hang"], timeout=1.0, clock=lambda: 3600.0 * next(jumps))
+    assert results["always:hang"].death == "hung: no heartbeat for 1 s"
 
 
 def test_workers_that_all_crash_end_it(tmp_path: Path) -> None:

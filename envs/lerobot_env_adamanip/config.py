@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass, field, fields
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -30,7 +31,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:
-    from lerobot_env_adamanip.vector import VectorEnv
+    import gymnasium as gym
 
 
 def hidden_value() -> Any:
@@ -46,9 +47,9 @@ class AdaManipEnvConfig(EnvConfig):
 
     # Name of the environment in LeRobot's logs; by default the category's.
     task: str | None = None
-    # Number of the suite's categories to evaluate in parallel threads.
+    # Must be 1: LeRobot's parallel tasks share one policy object, whose history would mix their episodes.
     max_parallel_tasks: int = 1
-    # Without effect: gymnasium.make does not create these environments.
+    # Without effect: LeRobot's commands do not create these environments by gymnasium.make.
     disable_env_checker: bool = True
     # Key frames per second of a recorded video. A step is one key frame, so this is not a control rate.
     fps: int = FPS
@@ -65,7 +66,7 @@ class AdaManipEnvConfig(EnvConfig):
     observe_images: bool | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
-    # Rules of mechanisms: paper (the paper's text), upstream (its code), or hard (this project's); docs/categories.md.
+    # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
     mechanism_rules: str = "paper"
     # Maximum key frames per episode.
     episode_length: int = MAX_KEY_FRAMES
@@ -108,6 +109,11 @@ class AdaManipEnvConfig(EnvConfig):
             refuse_former_name("pose_preset", self.pose_preset)
             if self.mechanism_preset != self.mechanism_rules:  # stored by trainings of version 0.2
                 refuse_former_name("mechanism_preset", self.mechanism_preset)
+            if self.max_parallel_tasks != 1:
+                what, hint = "Parallel tasks would mix the histories of one policy object.", "--eval.batch_size=4"
+                raise ConfigurationError(
+                    what, got=f"max_parallel_tasks={self.max_parallel_tasks}", allowed=1, hint=hint
+                )
             for group in self._groups().values():
                 self._options(**group)
         self.task = self.task or self.category
@@ -133,10 +139,10 @@ class AdaManipEnvConfig(EnvConfig):
     @property
     def options(self) -> EnvironmentOptions:
         """The environment's options."""
-        return self._options(self.category, observe_images=self._observes_images())
+        return self._options(self.category)
 
     def _options(self, category: str, **others: Any) -> EnvironmentOptions:
-        shared = [item.name for item in fields(EnvironmentOptions) if item.name not in ("category", "observe_images")]
+        shared = [item.name for item in fields(EnvironmentOptions) if item.name != "category"]
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
         workspace = Workspace(self.workspace_lower, self.workspace_upper)
         values |= {"category": category, "max_key_frames": self.episode_length, "workspace": workspace}
@@ -147,27 +153,34 @@ class AdaManipEnvConfig(EnvConfig):
         """Arguments of `KeyframeEnv`."""
         return {"options": self.options}
 
-    def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, VectorEnv]]:
-        """Returns ``{type: {0: vector environment}}``; an ended environment waits until the next rollout."""
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
+        """Returns ``{type: {0: vector environment}}``; removes images from the features that nothing renders.
+
+        Raises:
+            ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.
+            SimulatorError: images are requested, but this machine cannot render.
+        """
         from lerobot_adamanip.evaluation.log import new_run_id
+        from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
+        from lerobot_env_adamanip.policy_check import require_fitting_policy
         from lerobot_env_adamanip.vector import make_vector_env
 
+        if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
+            logging.getLogger(__name__).warning(line)
+        observed = observes_images(self.observe_images)
+        for name in () if observed else CAMERAS:
+            self.features.pop(f"pixels/{name}", None)
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
-        common: dict[str, Any] = {"observe_images": self._observes_images(), "run_id": run_id}
+        common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
+        require_fitting_policy(self, [each.category for each in options.values()])
         return {name: {0: make_vector_env(each, n_envs, use_async_envs)} for name, each in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:
         """Returns name -> options of each vector environment."""
         return {self.type: {"category": self.category}}
-
-    def _observes_images(self) -> bool:
-        """Returns whether images are observed; otherwise removes them from the features."""
-        observed = observes_images(self.observe_images)
-        if not observed:
-            for name in CAMERAS:
-                self.features.pop(f"pixels/{name}", None)
-        return observed
 
 
 @dataclass

@@ -14,7 +14,7 @@ from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.vector import FlatCloud
+from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud
 
 PREVIEW = "preview"
 """Camera whose images are for people only: shaded shapes without a Vulkan device, and unknown to policies."""
@@ -32,7 +32,7 @@ class ServedEnv(FlatCloud):
 
     def __init__(self, options: EnvironmentOptions) -> None:
         env = KeyframeEnv(options=options)
-        super().__init__(env)
+        super().__init__(FailMalformedActions(env))
         # The server reads these attributes of the outermost object.
         self.task, self.task_description = env.task, env.task_description
         self._max_episode_steps = env.max_key_frames
@@ -56,14 +56,14 @@ def create_adamanip_envs(
         task: one category, several separated by commas, or ``all``.
         n_envs: number of parallel environments per category.
         env_cls: vector environment class; takes one function per environment, which creates its `ServedEnv`.
-        options: fields of `EnvironmentOptions` by name; ``observe_images`` defaults to False.
+        options: fields of `EnvironmentOptions` by name.
 
     Raises:
         ConfigurationError: a category or option does not exist, or a value is invalid.
     """
     require_known(options)
     names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]
-    common = {"observe_images": False, "run_id": new_run_id() if options.get("episode_log") else None, **options}
+    common = {"run_id": new_run_id() if options.get("episode_log") else None, **options}
     chosen = [EnvironmentOptions(**{"category": name, **common}) for name in names]
     if len(names) > 1:
         chosen = [one.changed(seed_offset=category_offset(one.category)) for one in chosen]

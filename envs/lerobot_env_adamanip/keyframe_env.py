@@ -17,15 +17,24 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import depth_size
-from lerobot_adamanip.contract.schema import ACTION_DIM, FPS, NUM_JOINTS, STATE_DIM
+from lerobot_adamanip.contract.schema import FPS
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.log import new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.util.errors import SimulatorError, UnreachableError
+from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
+from lerobot_env_adamanip.gym_interface import (
+    RENDER_MODE,
+    action_space,
+    clipped,
+    environment_spec,
+    observation_space,
+    reset_options,
+)
+from lerobot_env_adamanip.sim.render_device import observes_images
 from lerobot_env_adamanip.simulator import make_task, sensors_name
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset
@@ -42,8 +51,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) unless ``observe_images`` is off. Reset and step info have ``is_success`` (bool) and no hidden
-        state; that of a truncated step also has ``limit``, the reason.
+        (H, W, 3) if images are observed, see ``observe_images``. All bounds are finite.
+    Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
+        text. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
         more than ``max_failed_tries``. Later steps return observations without reward and do not change its record.
 
@@ -52,34 +62,47 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Args:
         category: ``bottle`` ... ``lamp``, see `lerobot_adamanip.contract.categories`; ``safe`` by default.
         options: all options at once ...
-        values: ... or some of them by name, see `EnvironmentOptions`.
+        render_mode: ``rgb_array`` or None, for Gymnasium; `render` works with both.
+        values: ... or some options by name, see `EnvironmentOptions`.
 
     Raises:
         ConfigurationError: an option does not exist, or a value is invalid.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
+    metadata = {"render_modes": [RENDER_MODE], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
 
     def __init__(
-        self, category: str | None = None, *, options: EnvironmentOptions | None = None, **values: Any
+        self,
+        category: str | None = None,
+        *,
+        options: EnvironmentOptions | None = None,
+        render_mode: str | None = RENDER_MODE,
+        **values: Any,
     ) -> None:
         require_known(values)
+        if render_mode is not None:
+            require_choice("render mode", render_mode, (RENDER_MODE,))
         named = {} if category is None else {"category": category}
-        self.options = (options or EnvironmentOptions()).changed(**named, **values)
+        asked = (options or EnvironmentOptions()).changed(**named, **values)
+        self.spec = environment_spec(asked)
+        self.options = asked
+        if asked.observe_images is None:
+            self.options = asked.changed(observe_images=observes_images(None))
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
-        self.render_mode = "rgb_array"
+        self.render_mode = render_mode
         self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
         self._sim: AdaManipTask | None = None
         self._monitor: EpisodeMonitor | None = None
         self._record: EpisodeRecord | None = None
         self._seeds: dict[str, int] = {}
+        self._limit = ""
         self._episode_log, self._provenance = _log_of(self.options)
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
-        self.action_space = gym.spaces.Box(-np.inf, np.inf, (ACTION_DIM,), np.float32)
-        self.observation_space = _observation_space(self.options)
+        self.action_space = action_space()
+        self.observation_space = observation_space(self.options)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -91,22 +114,24 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         The seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
         the seed are tried; the log records this.
 
-        Options: ``object_id`` selects the object; ``hidden_overrides`` fixes hidden values. Others are ignored.
+        Options: ``object_id`` selects an object of the category; ``hidden_overrides`` fixes hidden values. LeRobot's
+        option of a new rollout has no effect.
 
         Raises:
-            ConfigurationError: the object or hidden value does not exist.
+            ConfigurationError: the option, object or hidden value does not exist.
             UnreachableError: the arm cannot reach the part in any of the scenes.
         """
+        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
+        self._limit = ""
+        chosen = reset_options(self.options, options or {})
         super().reset(seed=seed)
         given = seed if seed is not None else int(self.np_random.integers(2**31))
         wanted = scene_seed(given + self.options.seed_offset, self.options.split)
-        chosen = {key: value for key, value in (options or {}).items() if key in ("object_id", "hidden_overrides")}
         sim = self._started()
-        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
         drawn = self._placed(sim, wanted, chosen)
         self._seeds = {"seed": drawn, "given_seed": given}
         self.restart_episode()
-        return self.observe(), {"is_success": False}
+        return self.observe(), self._info(False)
 
     def restart_episode(self) -> None:
         """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
@@ -121,8 +146,17 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         had_succeeded = self._episode().success
         success, truncated = self.drive(action)
         reward = float(success and not had_succeeded)
-        info = {"is_success": success, **({"limit": self._episode().limit} if truncated else {})}
-        return self.observe(), reward, success, truncated, info
+        return self.observe(), reward, success, truncated, self._info(success)
+
+    def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
+
+        An episode that has ended keeps its result.
+        """
+        if self._record is None:
+            self._end(self._episode(), limit)
+        success, truncated = self._result()
+        return self.observe(), 0.0, success, truncated, self._info(success)
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
@@ -130,21 +164,33 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         sim.execute(np.asarray(action))
         self._image = None
         monitor.after_key_frame()
-        success = monitor.success if self._record is None else self._record.success
-        truncated = not success and (self._record is not None or monitor.limit is not None)
-        if (success or truncated) and self._record is None:
-            self._record = monitor.record()
-            if self._episode_log is not None:
-                self._episode_log.append(self._record)
-        return success, truncated
+        if self._record is None and (monitor.success or monitor.limit is not None):
+            self._end(monitor, "" if monitor.success else str(monitor.limit))
+        return self._result()
+
+    def _end(self, monitor: EpisodeMonitor, limit: str) -> None:
+        """Fixes the record of the episode and logs it."""
+        self._limit, self._record = limit, monitor.record()
+        if self._episode_log is not None:
+            self._episode_log.append(self._record)
+
+    def _result(self) -> tuple[bool, bool]:
+        """Returns whether the episode has succeeded, and whether it was truncated."""
+        success = self._record is not None and self._record.success
+        return success, self._record is not None and not success
+
+    def _info(self, success: bool) -> dict[str, Any]:
+        """Returns the info of a reset or step: always the same keys."""
+        return {"is_success": success, "limit": self._limit, "goal_clipped": self._running().feedback.is_clipped}
 
     def observe(self) -> Observation:
         """Returns the present observation."""
-        seen = self._running().observe(image=self.options.observe_images)
+        seen = self._running().observe(image=bool(self.options.observe_images))
         self._image = seen.images.get(FRONT)
+        spaces: Any = self.observation_space
         observation: Observation = {
-            "agent_pos": state_vector(seen.feedback, seen.qpos, seen.qvel),
-            "effort": seen.effort.astype(np.float32),
+            "agent_pos": clipped(state_vector(seen.feedback, seen.qpos, seen.qvel), spaces["agent_pos"]),
+            "effort": clipped(seen.effort.astype(np.float32), spaces["effort"]),
             "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
         }
         return {**observation, "pixels": seen.images} if seen.images else observation
@@ -276,17 +322,6 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._episode()
         assert self._sim is not None
         return self._sim
-
-
-def _observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
-    shapes = {"agent_pos": (STATE_DIM,), "effort": (NUM_JOINTS,), "point_cloud": (options.num_points, 3)}
-    spaces: dict[str, gym.Space[Any]] = {
-        key: gym.spaces.Box(-np.inf, np.inf, shape, np.float32) for key, shape in shapes.items()
-    }
-    if options.observe_images:
-        picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
-        spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(CAMERAS, picture))
-    return gym.spaces.Dict(spaces)
 
 
 def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:

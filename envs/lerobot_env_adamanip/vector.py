@@ -1,28 +1,45 @@
-"""Vector environments for LeRobot's rollouts: ended episodes wait, processes start lazily, hanging ones raise errors.
+"""Vector environments for LeRobot's rollouts: an ended environment waits for the next reset, processes start lazily.
 
-LeRobot 0.6.1 has similar ones under private names.
+They are `gymnasium.vector.VectorEnv`s. Those of ``gymnasium.make_vec`` reset an ended environment themselves.
 """
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import logging
 import multiprocessing
-from collections.abc import Callable, Sequence
+import signal
+import time
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing import forkserver
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
+from gymnasium.vector.async_vector_env import AsyncState
+from gymnasium.vector.utils import batch_space
 
-from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.options import MALFORMED_ACTION, EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
-from lerobot_adamanip.util.jobs import preload
+from lerobot_adamanip.util.jobs import thread_limits
+from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim.render_device import observes_images
 
 _log = logging.getLogger(__name__)
 
 Make = Callable[[], gym.Env[Any, Any]]
 Transition = tuple[Any, float, bool, bool, dict[str, Any]]
+AUTORESET = gym.vector.AutoresetMode.NEXT_STEP
 WORKER_TIMEOUT_S = 600.0
 """Time limit of an answer [s]: a reset takes seconds, the first one a minute."""
+CLOSE_TIMEOUT_S = 10.0
+"""Time that processes have to end by themselves [s]; then they are killed."""
+PRELOADED = ["lerobot_env_adamanip.fork_server_preload"]
+_OUT_OF_MEMORY = "a smaller --eval.batch_size, if memory ran out (about 1 GB per environment)"
+_AT_START = "`if __name__ == '__main__':` around your script; --eval.use_async_envs=false shows other causes"
 
 
 class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
@@ -41,114 +58,202 @@ class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
         return {**observation, "point_cloud": observation["point_cloud"].reshape(-1)}
 
 
-class FreezeAfterEpisodeEnd(gym.Wrapper[Any, Any, Any, Any]):
-    """Repeats an ended episode's last observation, without reward, until a rollout starts the next episode.
+class FailMalformedActions(gym.Wrapper[Any, Any, Any, Any]):
+    """Ends an episode without success at an action with NaN or infinity, so that the other episodes continue.
 
-    LeRobot steps a batch until its slowest environment has ended. Gymnasium resets an ended one without seed and
-    options; a rollout passes one of them.
+    A single `KeyframeEnv` raises `ConfigurationError` instead. An action of another shape is an error in both.
     """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        super().__init__(env)
-        self._last: Transition | None = None
-
-    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Starts an episode if seed or options are given; otherwise returns the last observation."""
-        if self._last is not None and seed is None and not options:
-            return self._last[0], self._last[4]
-        self._last = None
-        return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> Transition:
-        """Steps the environment, or repeats the last observation after the end."""
-        if self._last is not None:
-            return self._last
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
-            self._last = (observation, 0.0, terminated, truncated, info)
-        return observation, float(reward), terminated, truncated, info
+        """Steps the environment; a non-finite action is not executed and ends the episode."""
+        if np.isfinite(action).all():
+            return self.env.step(action)  # type: ignore[return-value]  # Gymnasium types rewards as SupportsFloat
+        env: Any = self.env.unwrapped
+        _log.warning("A policy's action has NaN or infinity: its episode ends as failed (%s).", MALFORMED_ACTION)
+        ended: Transition = env.end_episode(MALFORMED_ACTION)
+        return ended
 
 
-class LazyAsyncVectorEnv:
-    """Runs one process per environment, started at first use and ended by `close`; can be used again afterwards.
-
-    A suite therefore runs the processes of one category at a time. ``makers`` must be picklable by cloudpickle.
-    """
+class SyncSimulators(gym.vector.SyncVectorEnv):
+    """Environments of this process; `reset` starts new episodes, also in environments that wait after an ended one."""
 
     def __init__(self, makers: Sequence[Make]) -> None:
-        preload("lerobot_env_adamanip.fork_server_preload")  # while the caller loads a policy
-        self._makers = list(makers)
-        self._env: gym.vector.AsyncVectorEnv | None = None
-        self.num_envs = len(self._makers)
-        first = self._makers[0]()  # does not start the simulator
-        self.single_observation_space = self.observation_space = first.observation_space
-        self.single_action_space = self.action_space = first.action_space
-        self.metadata = first.metadata
-        first.close()
-
-    @property
-    def unwrapped(self) -> LazyAsyncVectorEnv:
-        """Returns itself."""
-        return self
+        super().__init__(makers, autoreset_mode=AUTORESET)
 
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Resets like `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process hangs."""
-        env = self._started()
-        env.reset_async(seed=seed, options=options)
-        return self._answer(lambda: env.reset_wait(timeout=WORKER_TIMEOUT_S))
+        """Resets like `gymnasium.vector.VectorEnv.reset`, whether or not seeds are given."""
+        return super().reset(seed=seed, options=_new_rollout(options))
+
+
+class _Processes(gym.vector.AsyncVectorEnv):
+    """Processes of `AsyncSimulators`: Gymnasium's, but they can be ended in any state."""
+
+    def __init__(self) -> None:
+        self.parent_pipes, self.processes = [], []
+
+    def start(self, makers: Sequence[Make]) -> None:
+        """Starts the processes, as copies of `start_server`'s."""
+        with _server_in_use():
+            super().__init__(makers, context="forkserver", autoreset_mode=AUTORESET)
+
+    def stop(self, *, at_once: bool) -> None:
+        """Ends the processes, whatever state they are in. With ``at_once`` they are killed."""
+        for pipe in () if at_once else self.parent_pipes:
+            with contextlib.suppress(OSError, AttributeError):  # its process has ended
+                pipe.send(("close", None))
+        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        self.processes = [process for process in self.processes if process.pid is not None]
+        for process in self.processes:
+            if not at_once:
+                process.join(max(0.0, deadline - time.monotonic()))
+            if process.is_alive():
+                process.kill()
+        self._state = AsyncState.DEFAULT  # otherwise Gymnasium waits for pending results
+        self.close(terminate=True)
+
+    def endings(self) -> list[str]:
+        """Returns how processes have ended that should run."""
+        deadline = time.monotonic() + 1.0  # a pipe closes a moment before its process can be reaped
+        while all(process.exitcode is None for process in self.processes) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        codes = [(number, process.exitcode) for number, process in enumerate(self.processes)]
+        return [f"environment {number}: {_ending(code)}" for number, code in codes if code is not None]
+
+
+class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
+    """Runs one process per environment, started at first use and ended by `close`; can be used again afterwards.
+
+    A suite therefore runs the processes of one category at a time. If a process dies, hangs or raises an error, all are
+    ended.
+
+    Args:
+        makers: one function per environment, picklable by cloudpickle.
+    """
+
+    def __init__(self, makers: Sequence[Make]) -> None:
+        start_server()  # while the caller loads a policy
+        self._makers = list(makers)
+        self._processes: _Processes | None = None
+        first = self._makers[0]()  # does not start the simulator
+        self.num_envs, self.render_mode = len(self._makers), first.render_mode
+        self.metadata = {**first.metadata, "autoreset_mode": AUTORESET}
+        self.single_observation_space, self.single_action_space = first.observation_space, first.action_space
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        first.close()
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Resets like `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process dies or hangs."""
+        with self._running() as processes:
+            processes.reset_async(seed=seed, options=_new_rollout(options))
+            return processes.reset_wait(timeout=WORKER_TIMEOUT_S)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Steps like `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process hangs."""
-        env = self._started()
-        env.step_async(actions)
-        return self._answer(lambda: env.step_wait(timeout=WORKER_TIMEOUT_S))
+        """Steps like `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process dies or hangs."""
+        with self._running() as processes:
+            processes.step_async(actions)
+            return processes.step_wait(timeout=WORKER_TIMEOUT_S)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Calls a method, or reads an attribute, of each environment."""
-        return self._started().call(name, *args, **kwargs)
+        """Calls a method, or reads an attribute, of each environment; raises `SimulatorError` like `step`."""
+        with self._running() as processes:
+            processes.call_async(name, *args, **kwargs)
+            return processes.call_wait(timeout=WORKER_TIMEOUT_S)
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """Reads an attribute of each environment."""
-        return self._started().get_attr(name)
+        return self.call(name)
 
-    def close(self) -> None:
-        """Ends the processes."""
-        env, self._env = self._env, None
-        if env is not None:
-            env.close()
+    def set_attr(self, name: str, values: Any) -> None:
+        """Sets an attribute of each environment, from a list or tuple with one value each, or from one value."""
+        with self._running() as processes:
+            processes.set_attr(name, values)
 
-    def _started(self) -> gym.vector.AsyncVectorEnv:
-        if self._env is None:
-            self._env = gym.vector.AsyncVectorEnv(
-                [_frozen(make) for make in self._makers],
-                context="forkserver",
-                shared_memory=True,
-                autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
-            )
-        return self._env
+    def render(self) -> tuple[Any, ...]:
+        """Returns each environment's image (H, W, 3)."""
+        return self.call("render")
 
-    def _answer[T](self, wait: Callable[[], T]) -> T:
+    def close(self, **kwargs: Any) -> None:
+        """Ends the processes within `CLOSE_TIMEOUT_S`, also after an error; the next call starts new ones."""
+        self._stop(at_once=False)
+
+    def _stop(self, *, at_once: bool) -> None:
+        processes, self._processes = self._processes, None
+        if processes is not None:
+            processes.stop(at_once=at_once)
+
+    @contextlib.contextmanager
+    def _running(self) -> Iterator[_Processes]:
+        """Yields the running processes; after any error there are none, and a `SimulatorError` names a dead process."""
         try:
-            return wait()
+            if self._processes is None:
+                self._processes = _Processes()  # first, so that `_stop` ends the processes if one does not start
+                self._processes.start(self._makers)
+            yield self._processes
+        except (EOFError, ConnectionError) as error:
+            # Collecting frames that hold a half-sent message crashes Python 3.12.1.
+            traceback.clear_frames(error.__traceback__)
+            endings = "; ".join([] if self._processes is None else self._processes.endings())
+            self._stop(at_once=True)
+            raise SimulatorError(
+                "A simulator's process has ended.",
+                got=endings or "its connection is closed",
+                allowed=f"{self.num_envs} running processes",
+                hint=_OUT_OF_MEMORY if "SIGKILL" in endings else _AT_START,
+            ) from error
         except multiprocessing.TimeoutError as error:
-            env, self._env = self._env, None
-            if env is not None:
-                env.close(terminate=True)
+            self._stop(at_once=True)
             raise SimulatorError(
                 "A simulator's process does not answer.",
                 got=f"nothing within {WORKER_TIMEOUT_S:.0f} s",
                 allowed="an answer within that time",
                 hint="adamanip doctor; --eval.use_async_envs=false shows where it stands",
             ) from error
+        except BaseException as error:
+            traceback.clear_frames(error.__traceback__)
+            self._stop(at_once=True)
+            raise
 
 
-type VectorEnv = gym.vector.VectorEnv[Any, Any, Any] | LazyAsyncVectorEnv
+def _ending(code: int) -> str:
+    return f"killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
 
 
-def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bool) -> VectorEnv:
-    """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next rollout."""
+_server = forkserver.ForkServer()
+"""Fork server of the simulators alone: the caller's other processes inherit neither its modules nor its environment."""
+
+
+def start_server() -> None:
+    """Starts the process that imports the simulator once and is then copied for each environment.
+
+    Otherwise each environment imports the simulator, which takes 4 s of CPU time.
+    """
+    _server.set_forkserver_preload(PRELOADED)
+    with thread_limits():
+        _server.ensure_running()
+
+
+@contextlib.contextmanager
+def _server_in_use() -> Iterator[None]:
+    """Lets the standard library fork from our server; it has no option for that."""
+    start_server()  # again, if it was killed
+    usual, forkserver.connect_to_new_process = forkserver.connect_to_new_process, _server.connect_to_new_process
+    try:
+        yield
+    finally:
+        forkserver.connect_to_new_process = usual
+
+
+def make_vector_env(
+    options: EnvironmentOptions, n_envs: int, use_async_envs: bool
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next reset."""
+    from lerobot.envs.utils import freeze_after_episode_end  # LeRobot's server imports this module without it
+
     if n_envs < 1:
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
@@ -158,15 +263,15 @@ def make_vector_env(options: EnvironmentOptions, n_envs: int, use_async_envs: bo
         *(options.category, options.split, options.objects),
         "" if options.split == "test" else " (for a test result: --env.split=test)",
     )
-    functions = [lambda: FlatCloud(KeyframeEnv(options=options))] * n_envs
+    options = options.changed(observe_images=observes_images(options.observe_images))  # once, not in each environment
+    makers = [freeze_after_episode_end(functools.partial(_make, options))] * n_envs
     # Simulators in one process would render one after the other; separate processes use all cores.
-    if use_async_envs and n_envs > 1:
-        return LazyAsyncVectorEnv(functions)
-    return gym.vector.SyncVectorEnv(
-        [_frozen(function) for function in functions],
-        autoreset_mode=gym.vector.AutoresetMode.NEXT_STEP,
-    )
+    return AsyncSimulators(makers) if use_async_envs and n_envs > 1 else SyncSimulators(makers)
 
 
-def _frozen(make: Make) -> Make:
-    return lambda: FreezeAfterEpisodeEnd(make())
+def _new_rollout(options: dict[str, Any] | None) -> dict[str, Any]:
+    return {**(options or {}), NEW_ROLLOUT: True}
+
+
+def _make(options: EnvironmentOptions) -> gym.Env[Any, Any]:
+    return FlatCloud(FailMalformedActions(KeyframeEnv(options=options)))

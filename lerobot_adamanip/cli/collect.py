@@ -61,8 +61,8 @@ class Collect:
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
-    image_size: int = schema.IMAGE_SIZE
-    """Side length of the front image [px]."""
+    image_size: int | None = None
+    """Side length of the front image [px]. Default: 256. A given size implies --images."""
 
     images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
     """Record pictures, or fail at once on a machine that cannot render. Default: pictures where rendering works."""
@@ -77,7 +77,8 @@ class Collect:
     """Poses of object, robot and camera. randomized: drawn. fixed: nominal, as in upstream's code."""
 
     mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
-    """Rules of mechanisms. paper: as in the paper's text. upstream: as in its released code. hard: harder ones."""
+    """Rules of mechanisms. paper: as in the paper's text. upstream: its released code, other for safes. hard: drawn
+    directions for pressure cookers and coffee makers too."""
 
     max_failed_tries: str | None = None
     """Maximum failed tries per attempt; the next failed try ends it. A number, or best (worst case of the best strategy
@@ -150,10 +151,12 @@ class Collect:
         require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")
         self._require_whole()
         spec = self._spec_without_images()
-        from lerobot_adamanip.cli.collect_setup import begin, summary_text
+        from lerobot_adamanip.cli.collect_setup import begin, no_pictures, summary_text
+        from lerobot_adamanip.collection.folder_identity import require_same_options
 
         options = self.options()
         spec = self._with_images(spec)
+        require_same_options(self.root, spec)
         begin(spec, self.workers, self.cluster, self.part)
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
@@ -169,6 +172,8 @@ class Collect:
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         text = summary_text(summary, self.part, self.adopt, "policy" if self.policy else "expert")
         print_result(self.json, {**dataclasses.asdict(summary), **rate}, text)
+        if not (spec.environment.observe_images or self.no_images):
+            print(no_pictures(f"adamanip render {self.root}"), file=sys.stderr)
         return 0
 
     def _publish(self) -> None:
@@ -176,7 +181,7 @@ class Collect:
         from lerobot_adamanip.cli.push import Push
 
         push = Push("dataset", str(self.repo_id), self.root, assets=self.assets, private=self.private)
-        _, result = push.publish()
+        _, result, _ = push.publish()
         print(f"Published: {result.url if result else self.repo_id}", file=sys.stderr)
 
     def _require_whole(self) -> None:
@@ -197,7 +202,8 @@ class Collect:
         """Decides on pictures, after all checks: finding a renderer may take seconds."""
         from lerobot_adamanip.cli.collect_setup import resolve_images
 
-        images = resolve_images((self.root, *self.adopt), self.images, self.no_images)
+        wanted = self.images or (self.image_size is not None and not self.no_images)
+        images = resolve_images((self.root, *self.adopt), wanted, self.no_images)
         return dataclasses.replace(spec, environment=spec.environment.changed(observe_images=images))
 
     def _spec_without_images(self) -> CollectionSpec:
@@ -209,7 +215,7 @@ class Collect:
             objects=self.objects,
             assets=None if self.assets is None else str(self.assets.resolve()),
             num_points=self.num_points,
-            image_size=self.image_size,
+            image_size=schema.IMAGE_SIZE if self.image_size is None else self.image_size,
             cloud_source=self.cloud_source,
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from lerobot_adamanip.catalog import SEEN_COUNTS, object_split, select_objects
 from lerobot_adamanip.evaluation.text_format import counted
+from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
 from lerobot_adamanip.util.errors import GET_PICTURES, ConfigurationError, no_vulkan_device
 from lerobot_adamanip.util.jobs import preload
 
@@ -63,7 +64,13 @@ def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | N
     share = "" if part is None else f"part {part} of "
     where = f"on the cluster {cluster}" if cluster else f"starting {counted(workers, 'simulator')}"
     objects = counted(len(spec.objects), "object")
-    print(f"{share}{episodes} of {objects} ({kinds}), {where}", file=sys.stderr, flush=True)
+    print(
+        f"{share}{episodes} of {objects} ({kinds}), {where}. The first episode takes up to a minute.",
+        file=sys.stderr,
+        flush=True,
+    )
+    if line := unchanged_rules(spec.categories, spec.environment.mechanism_rules):
+        print(line, file=sys.stderr)
     if cluster is None:
         preload(*_WORKER_MODULES)
 
@@ -89,7 +96,7 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
 
     Args:
         roots: of the dataset, and of adopted parts.
-        wanted: --images was given.
+        wanted: --images or --image-size was given.
         refused: --no-images was given.
 
     Raises:
@@ -115,11 +122,13 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
         require_renderer()
     if wanted or can_render():
         return True
-    print(
-        f"No pictures: nothing renders here. `adamanip render` adds them later. To get them: {GET_PICTURES}.",
-        file=sys.stderr,
-    )
+    print(no_pictures("adamanip render"), file=sys.stderr)
     return False
+
+
+def no_pictures(command: str) -> str:
+    """Returns the line about a dataset without pictures; ``command`` adds them later."""
+    return f"No pictures: nothing renders here. `{command}` adds them later. To get them: {GET_PICTURES}."
 
 
 def summary_text(summary: CollectSummary, part: str | None, adopted: Sequence[Path], driver: str) -> str:

@@ -13,11 +13,14 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
+from typing import cast
 
 from packaging.requirements import Requirement
 from packaging.version import Version
 
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.util.account import require_account
+from lerobot_adamanip.util.errors import ConfigurationError
 
 DISTRIBUTION = "lerobot_env_adamanip"
 ENV_TYPES = ("adamanip", *(f"adamanip_{name}" for name in CATEGORIES))
@@ -54,6 +57,16 @@ def check_python() -> Check:
     """Checks the Python version: LeRobot 0.6 needs 3.12."""
     found = ".".join(map(str, sys.version_info[:3]))
     return Check("Python", sys.version_info >= (3, 12), found, "install Python 3.12 and run make setup")
+
+
+def check_account() -> Check:
+    """Checks the home folder and the user name."""
+    try:
+        require_account()
+    except ConfigurationError as error:
+        what, got, _, hint = (line.partition(":")[2].strip() or line for line in str(error).splitlines())
+        return Check("Account", False, got, f"{what} Try: {hint}. Then run adamanip doctor again")
+    return Check("Account", True, "home folder and user name")
 
 
 def check_versions() -> Iterator[Check]:
@@ -224,6 +237,7 @@ def check_disk() -> Check:
 
 CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_python,
+    check_account,
     check_versions,
     check_opencv,
     check_plugin,
@@ -239,11 +253,13 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
 
 
 def run_checks() -> Iterator[Check]:
-    """Runs all checks in order. A check that raises counts as failed."""
+    """Runs all checks in order. A check that raises counts as failed. Without an account, the others would mislead."""
     for check in CHECKS:
         try:
             result = check()
             yield from [result] if isinstance(result, Check) else result
+            if check is check_account and not cast(Check, result).ok:
+                return
         except Exception as error:
             name = check.__name__.removeprefix("check_")
             yield Check(name, False, f"{type(error).__name__}: {error}", "see the message")

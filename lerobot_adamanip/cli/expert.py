@@ -49,7 +49,7 @@ class Expert:
     """Poses of object, robot and camera: randomized or fixed."""
 
     mechanism_rules: str = "paper"
-    """Rules of mechanisms: paper, upstream or hard."""
+    """Rules of mechanisms: paper, upstream or hard (for pressure_cooker and coffee_maker)."""
 
     episode_length: int = MAX_KEY_FRAMES
     """Maximum key frames per episode."""

@@ -13,6 +13,7 @@ from typing import Any, NamedTuple, Protocol, cast
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.cli.option_names import check_options, unreadable_options
+from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
@@ -119,6 +120,8 @@ def parse(name: str, options: Sequence[str]) -> Any:
 def execute(name: str, options: Sequence[str]) -> int:
     """Parses the options of a subcommand, runs it, and returns its exit status."""
     command = parse(name, options)
+    if name != "doctor":  # which reports it as a check
+        require_account()
     try:
         return command.run()  # type: ignore[no-any-return]
     except ModuleNotFoundError as error:

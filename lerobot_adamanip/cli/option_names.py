@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest, require_choice
-
-FORMER: Mapping[str, Mapping[str, str]] = {
-    "collect": {
-        "--root": "DIR",
-        "--mechanism-preset": "--mechanism-rules",
-        "--expert-preset": "--expert-strategy",
-        "--pose-preset": "--poses",
-    },
-    "replay": {"--root": "DIR", "--video": "--out"},
-    "view": {"--image": "--out", "--save": "--out"},
-    "objects": {"--sheet": "--out"},
-    "report": {"--plot": "--out", "--result": "--out"},
-    "calibrate": {"--output": "--out"},
-}
-"""Subcommand -> former option name -> current name. DIR is the first argument."""
 
 
 def check_options(command: str, options: type[Any], arguments: Sequence[str]) -> None:
@@ -39,21 +24,13 @@ def check_options(command: str, options: type[Any], arguments: Sequence[str]) ->
         typed, equals, value = argument.partition("=")
         name = typed.replace("_", "-")
         if name not in known:
-            raise _unknown_option(command, typed, name, known)
+            near = nearest(typed, known)
+            hint = f"did you mean {near}?" if near else f"adamanip {command} --help"
+            what = f"Unknown option of `adamanip {command}`."
+            raise ConfigurationError(what, got=typed, allowed=listed(sorted(known)), hint=hint)
         if choices := known[name]:
             value = value if equals else "".join(arguments[place + 1 : place + 2])
             require_choice(f"value of {name}", value, choices)
-
-
-def _unknown_option(command: str, typed: str, name: str, known: Mapping[str, tuple[str, ...]]) -> ConfigurationError:
-    if (new := FORMER.get(command, {}).get(name)) is not None:
-        what = f"{typed} of `adamanip {command}` is {'the first argument' if new == 'DIR' else new} now."
-        hint = f"adamanip {command} {new if new == 'DIR' else f'... {new}'}"
-        return ConfigurationError(what, got=typed, allowed=new, hint=hint)
-    near = nearest(typed, known)
-    hint = f"did you mean {near}?" if near else f"adamanip {command} --help"
-    what = f"Unknown option of `adamanip {command}`."
-    return ConfigurationError(what, got=typed, allowed=listed(sorted(known)), hint=hint)
 
 
 def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:

@@ -21,6 +21,7 @@ Progress = Callable[[str, int, int], None]
 @dataclass
 class _Stage:
     begin: float
+    first_share: float
     printed_at: float = -float("inf")
     printed_share: float = -1.0
 
@@ -39,21 +40,28 @@ class ProgressLines:
     stream: TextIO = field(default_factory=lambda: sys.stderr)
     clock: Callable[[], float] = time.monotonic
     _stages: dict[str, _Stage] = field(default_factory=dict)
+    _begin: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        """Starts the first stage's time, which includes the start of simulators."""
+        self._begin = self.clock()
 
     def __call__(self, stage: str, done: int, total: int) -> None:
         """Writes a line if one is due."""
         if stage not in self.names:
             return
         now, share = self.clock(), done / max(1, total)
-        known = self._stages.setdefault(stage, _Stage(now))
+        known = self._stages.setdefault(stage, _Stage(now if self._stages else self._begin, share))
         since = now - known.printed_at
         is_due = since >= MAX_INTERVAL_S or share - known.printed_share >= MAX_INTERVAL_SHARE
         is_last = done >= total and known.printed_share < 1.0
         if not is_last and not (is_due and since >= MIN_INTERVAL_S):
             return
         known.printed_at, known.printed_share = now, share
-        seconds = now - known.begin
-        left = f", about {seconds * (1 - share) / share:.0f} s left" if 0 < share < 1 and seconds > 1 else ""
+        seconds, gained = now - known.begin, share - known.first_share
+        left = (
+            f", about {seconds * (1 - share) / gained:.0f} s left" if gained > 0 and share < 1 and seconds > 1 else ""
+        )
         line = f"{self.names[stage]}: {done}/{total} ({100 * share:.0f} %) after {seconds:.0f} s{left}"
         print(line, file=self.stream, flush=True)
 

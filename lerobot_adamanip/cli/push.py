@@ -62,27 +62,28 @@ class Push:
     """Make the repository private."""
 
     dry_run: bool = False
-    """Check and list the files, but upload nothing."""
+    """Check and list the files, and print the card, but upload nothing."""
 
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
     def run(self) -> int:
         """Publishes and prints. Returns 0 when the Hub has the files."""
-        sizes, result = self.publish()
-        values = {"dry_run": True, "files": sizes} if result is None else asdict(result)
-        print_result(self.json, values, self._text(sizes, result))
+        sizes, result, card = self.publish()
+        values = {"dry_run": True, "files": sizes, "card": card} if result is None else asdict(result)
+        print_result(self.json, values, self._text(sizes, result, card))
         return 0
 
-    def publish(self) -> tuple[dict[str, int], PushResult | None]:
-        """Publishes. Returns the file sizes [bytes] and the result, which is None for a dry run."""
+    def publish(self) -> tuple[dict[str, int], PushResult | None, str]:
+        """Publishes. Returns the file sizes [bytes], the result, which is None for a dry run, and the card."""
         self._check()
         from lerobot_adamanip.hub.push import push
 
         with tempfile.TemporaryDirectory(prefix="adamanip-push-") as scratch, contextlib.redirect_stdout(sys.stderr):
             staged = self._staged(Path(scratch) / "staged")
             sizes = {name: path.stat().st_size for name, path in staged.files().items()}
-            return sizes, None if self.dry_run else push(staged, private=self.private, release=self.release)
+            card = staged.files()["README.md"].read_text(encoding="utf-8")
+            return sizes, None if self.dry_run else push(staged, private=self.private, release=self.release), card
 
     def _check(self) -> None:
         require_hub_name(self.repo_id)
@@ -114,11 +115,11 @@ class Push:
             return stage_model(self.folder, self.repo_id, into, results=results, dataset=self.dataset)
         return stage_dataset(self.folder, self.repo_id, into, assets=self.assets)
 
-    def _text(self, sizes: dict[str, int], result: PushResult | None) -> str:
+    def _text(self, sizes: dict[str, int], result: PushResult | None, card: str) -> str:
         if result is None:
             files = [f"{size:>12}  {name}" for name, size in sizes.items()]
             total = f"{len(sizes)} files, {sum(sizes.values()) / 1e6:.1f} MB"
-            return "\n".join([*files, f"{total}, for {self.repo_id}. Nothing was sent."])
+            return "\n".join([card, *files, f"{total}, for {self.repo_id}. Nothing was sent."])
         state = "published" if result.changed else "was there already"
         tags = f", tagged {', '.join(result.tags)}" if result.tags else ""
         return f"{result.url} {state}: {result.files} files, {result.bytes / 1e6:.1f} MB, commit {result.commit}{tags}."

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards.collected import dataset_card
@@ -19,6 +20,7 @@ from lerobot_adamanip.datasets.reading import JSON_COLUMNS, read_back
 from lerobot_adamanip.datasets.shards import read_shard
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset, to_json
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -47,6 +49,21 @@ class Contents:
     repo_id: str
 
 
+@dataclass(frozen=True)
+class Recorded:
+    """Contents of a dataset that is not a collection: episodes of any policy, without a manifest.
+
+    Attributes:
+        shards: episode files, in order.
+        environment: options of the environment; ``observe_images`` is resolved.
+        repo_id: repository id in the dataset card.
+    """
+
+    shards: list[Path]
+    environment: EnvironmentOptions
+    repo_id: str
+
+
 def assemble(
     folder: Path, name: str, contents: Contents, progress: Callable[[int, int], None], workers: int = 1
 ) -> Path:
@@ -65,17 +82,43 @@ def assemble(
     Raises:
         DatasetError: there are no shards, a shard is damaged, or the written dataset cannot be read back.
     """
-    if not contents.shards:
+    recorded = Recorded(contents.shards, contents.manifest.spec.environment, contents.repo_id)
+
+    def describe() -> None:
+        attempts_path(folder).write_bytes(attempts_jsonl(contents.attempts))
+        write_manifest(manifest_path(folder), contents.manifest)
+
+    return _assembled(folder, name, recorded, describe, progress=progress, workers=workers)
+
+
+def assemble_recorded(folder: Path, name: str, recorded: Recorded) -> Path:
+    """Writes a dataset without a manifest, syncs it and reads it back, like `assemble`."""
+    box = recorded.environment.workspace
+    workspace = None if box == DEFAULT_WORKSPACE else box
+    return _assembled(folder, name, recorded, lambda: None, workspace=workspace)
+
+
+def _assembled(
+    folder: Path,
+    name: str,
+    recorded: Recorded,
+    describe: Callable[[], None],
+    *,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+    workers: int = 1,
+    workspace: Workspace | None = None,
+) -> Path:
+    if not recorded.shards:
         raise DatasetError(
             "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
         )
     files.crash_point("assembly begun")
-    dataset = _empty(folder, contents)
-    records, lengths = append_shards(dataset, contents.shards, progress, workers)
+    dataset = _empty(folder, recorded, workspace)
+    records, lengths = append_shards(dataset, recorded.shards, progress, workers)
     files.crash_point("dataset written")
-    _describe(folder, contents, records, dataset.meta.features)
-    card = dataset_card(folder, name, contents.repo_id, contents.manifest.spec.environment.assets)
-    (folder / "README.md").write_text(card)
+    _describe(folder, records, dataset.meta.features)
+    describe()
+    (folder / "README.md").write_text(dataset_card(folder, name, recorded.repo_id, recorded.environment.assets))
     files.crash_point("dataset described")
     files.sync_tree(folder)
     files.crash_point("dataset synced")
@@ -84,12 +127,15 @@ def assemble(
     return folder
 
 
-def _empty(folder: Path, contents: Contents) -> Any:
-    environment = contents.manifest.spec.environment
-    image_size = environment.image_size if environment.observe_images else None
-    intrinsics = read_shard(contents.shards[0]).record["camera"].get("intrinsics")
+def _empty(folder: Path, recorded: Recorded, workspace: Workspace | None) -> Any:
+    environment = recorded.environment
     return create_dataset(
-        folder, contents.repo_id, num_points=environment.num_points, image_size=image_size, intrinsics=intrinsics
+        folder,
+        recorded.repo_id,
+        num_points=environment.num_points,
+        image_size=environment.image_size if environment.observe_images else None,
+        intrinsics=read_shard(recorded.shards[0]).record["camera"].get("intrinsics"),
+        workspace=workspace,
     )
 
 
@@ -147,11 +193,9 @@ def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict
         yield episode.record, len(episode)
 
 
-def _describe(root: Path, contents: Contents, records: list[dict[str, Any]], features: Features) -> None:
+def _describe(root: Path, records: list[dict[str, Any]], features: Features) -> None:
     write_statistics(root, features)
     add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
     add_episode_columns(root, {key: [to_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))
-    attempts_path(root).write_bytes(attempts_jsonl(contents.attempts))
     shutil.rmtree(root / "images", ignore_errors=True)
-    write_manifest(manifest_path(root), contents.manifest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import logging
 import os
 import time
 from collections import Counter
@@ -189,6 +190,7 @@ def _record(job: RecordingJob, paths: CollectionPaths, options: CollectOptions, 
     done = totals - Counter(category_of(item.object_id) for item in missing)
     for category, total in totals.items():
         listener(f"record {category}", done[category], total)
+    listener("record", done.total(), len(items))
     with _recorder(job, paths, options, len(missing)) as run:
         for result in run(missing):
             outcome = result.value or _lost(result)
@@ -254,7 +256,13 @@ def _publish(
     shards = [path for item in items if (path := paths.episodes / item.file_name).exists()]
     records = [record for path in shards if (record := read_record(path)) is not None]
     attempts = all_attempts(paths, items, records)
-    counted = replace(manifest, attempts=count(attempts, len(items)))
+    processors = tuple(sorted({str(record["versions"].get("cpu", "unknown")) for record in records}))
+    if len(processors) > 1:
+        logging.getLogger(__name__).warning(
+            "Recorded on different processors (%s): on one of them alone, the last digits of numbers may differ.",
+            ", ".join(processors),
+        )
+    counted = replace(manifest, attempts=count(attempts, len(items)), processors=processors)
     repo_id = options.repo_id or f"local/{paths.root.name}"
     workers = options.workers if options.cluster is None else os.cpu_count() or 1
     if manifest.spec.keep_failed and (failed := _failed_shards(paths, manifest)):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import contextlib
+from dataclasses import replace
 from pathlib import Path
 
-from lerobot_adamanip.datasets.collection_spec import CollectionPaths, manifest_path
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, manifest_path
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
 from lerobot_adamanip.datasets.output_folder import count_episodes, is_free
 from lerobot_adamanip.datasets.reading import load_check
@@ -31,6 +32,15 @@ def _require_same(path: Path, manifest: Manifest, where: Path) -> Manifest:
     stored = read_manifest(path, manifest.spec.environment.assets)
     require_same(stored, manifest, where)
     return stored
+
+
+def require_same_options(root: Path, spec: CollectionSpec) -> None:
+    """Raises `DatasetError` if a folder holds a collection with other options. Needs no simulator."""
+    paths = CollectionPaths(root.absolute())
+    for path, where in ((paths.manifest, paths.root), (paths.partial_manifest, paths.partial)):
+        if path.is_file() and (where == paths.root or count_episodes(where)):
+            stored = read_manifest(path, spec.environment.assets)
+            require_same(stored, replace(stored, spec=spec), where)
 
 
 def is_own_partial(paths: CollectionPaths, manifest: Manifest) -> bool:

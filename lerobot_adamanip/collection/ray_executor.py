@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import contextlib
 import re
-import time
 from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Self
 
 import ray
@@ -28,6 +27,7 @@ from lerobot_adamanip.util.jobs import (
     WorkerError,
     error_text,
 )
+from lerobot_adamanip.util.running_time import RunningTime
 
 MAX_CRASHES = 3
 """Crashes after which an item is given up: one more than on one machine, because nodes may crash for other reasons."""
@@ -57,11 +57,11 @@ class SessionActor[Item]:
 
 @dataclass
 class _Call[Item]:
-    """Pending Ray call: a greeting (no item), or an item."""
+    """Pending Ray call: a greeting (no item), or an item. ``started``: time of the executor's `RunningTime` [s]."""
 
     actor: Any
+    started: float
     item: Item | None = None
-    started: float = field(default_factory=time.monotonic)
 
 
 class RayExecutor[Item]:
@@ -79,6 +79,7 @@ class RayExecutor[Item]:
     def __init__(self, session: Session[Item], count: int, *, timeout: float) -> None:
         self._session, self._count, self._timeout = session, count, timeout
         self._versions = node_versions()
+        self._running_time = RunningTime(2 * _POLL_SECONDS)
         self._queue: deque[Item] = deque()
         self._calls: dict[Any, _Call[Item]] = {}
         self._actors: list[Any] = []
@@ -100,7 +101,7 @@ class RayExecutor[Item]:
         while self._queue or self._running():
             while self._queue and self._idle:
                 actor, item = self._idle.pop(), self._queue.popleft()
-                self._calls[actor.do.remote(item)] = _Call(actor, item)
+                self._calls[actor.do.remote(item)] = _Call(actor, self._running_time(), item)
             while len(self._actors) < min(self._count, len(self._queue) + self._running()):
                 self._start_actor()
             ready, _ = ray.wait(list(self._calls), num_returns=1, timeout=_POLL_SECONDS)
@@ -118,7 +119,7 @@ class RayExecutor[Item]:
         }  # fmt: skip
         actor: Any = ray.remote(SessionActor).options(**options).remote(self._session)
         self._actors.append(actor)
-        self._calls[actor.greet.remote()] = _Call(actor)
+        self._calls[actor.greet.remote()] = _Call(actor, self._running_time())
 
     def _answered(self, call: _Call[Item], reference: Any) -> Iterator[JobResult[Item]]:
         try:
@@ -134,10 +135,12 @@ class RayExecutor[Item]:
         if kind == "error":
             raise WorkerError(f"{call.item}: {value}")
         self._crashes.consecutive = 0
-        yield JobResult(call.item, value, seconds=time.monotonic() - call.started)
+        yield JobResult(call.item, value, seconds=self._running_time() - call.started)
 
     def _overdue(self) -> Iterator[JobResult[Item]]:
-        late = {key: call for key, call in self._calls.items() if time.monotonic() - call.started > self._timeout}
+        now = self._running_time()
+        late = {key: call for key, call in self._calls.items() if now - call.started > self._timeout}
+        late = {key: call for key, call in late.items() if not ray.wait([key], timeout=0)[0]}
         for reference, call in late.items():
             if call.item is not None:
                 del self._calls[reference]
@@ -157,7 +160,7 @@ class RayExecutor[Item]:
         self._end(call.actor)
         is_final = self._crashes.is_final(call.item, details)
         if is_final:
-            yield JobResult(call.item, death=cause, seconds=time.monotonic() - call.started)  # type: ignore[arg-type]
+            yield JobResult(call.item, death=cause, seconds=self._running_time() - call.started)  # type: ignore[arg-type]
         elif call.item is not None:
             self._queue.appendleft(call.item)
 

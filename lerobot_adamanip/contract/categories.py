@@ -34,6 +34,11 @@ class Category:
         """``AdaManip-PressureCooker-v1``."""
         return f"AdaManip-{self.camel_name}-v1"
 
+    @property
+    def keyframe_id(self) -> str:
+        """``AdaManipKeyframe-PressureCooker-v0``: the id of the key-frame environment, for `gymnasium.make`."""
+        return f"AdaManipKeyframe-{self.camel_name}-v0"
+
 
 CATEGORIES = {
     category.name: category

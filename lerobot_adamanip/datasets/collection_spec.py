@@ -58,7 +58,8 @@ class CollectionSpec:
     """Options that decide the data of a collection; equal options give equal collections.
 
     Attributes:
-        environment: options of the environments; its ``category`` is that of the first object.
+        environment: options of the environments; its ``category`` is that of the first object. ``observe_images=None``
+            counts as False, because a specification must not depend on the machine.
         objects: ids of one or more categories, in the order of the dataset.
         expert: ``adaptive`` or ``static``.
         expert_strategy: see `lerobot_adamanip.experts.EXPERT_STRATEGIES`.
@@ -85,6 +86,8 @@ class CollectionSpec:
     expert_share: float = 1.0
 
     def __post_init__(self) -> None:
+        if self.environment.observe_images is None:
+            object.__setattr__(self, "environment", self.environment.changed(observe_images=False))
         require_choice("expert", self.expert, EXPERT_KINDS)
         require_choice("expert strategy", self.expert_strategy, EXPERT_STRATEGIES)
         for name, (lowest, highest) in LIMITS.items():

@@ -13,13 +13,14 @@ from typing import Any
 
 import pyarrow as pa
 
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.appending import append_rows, can_append
 from lerobot_adamanip.datasets.cutting import cut_episode
 from lerobot_adamanip.datasets.description import plain_feature
 from lerobot_adamanip.datasets.encoding import quieten, video_encoder
-from lerobot_adamanip.datasets.reading import as_typed, read_back, workspace_of
+from lerobot_adamanip.datasets.reading import as_typed, camera_of, read_back, workspace_of
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.statistics import write_statistics
@@ -140,6 +141,9 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
     box = workspace_of(sources[0].root, sources[0].info["features"])
     if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
         info["features"][POINT_CLOUD].setdefault("info", {}).update(workspace_info(box))
+    cameras = {camera_of(source.info["features"]) for source in sources} - {FRONT}
+    if len(cameras) == 1:  # simulated clouds of a mix name no camera
+        info["features"][POINT_CLOUD].setdefault("info", {})["camera"] = cameras.pop()
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
 
 

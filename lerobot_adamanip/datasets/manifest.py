@@ -88,12 +88,14 @@ class Manifest:
         versions: name -> version of the software, from the environment's ``software_versions``.
         external_assets: object id -> hash of its folder's content; empty for generated objects.
         attempts: counts of a finished collection.
+        processors: CPU models that recorded a finished collection. On different ones, the last digits may differ.
     """
 
     spec: CollectionSpec
     versions: Mapping[str, str] = field(default_factory=dict)
     external_assets: Mapping[str, str] = field(default_factory=dict)
     attempts: AttemptCounts | None = None
+    processors: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, spec: CollectionSpec, versions: Mapping[str, str]) -> Manifest:
@@ -116,6 +118,7 @@ class Manifest:
             "versions": dict(self.versions),
             "external_assets": dict(self.external_assets),
             "attempts": None if self.attempts is None else vars(self.attempts),
+            "processors": list(self.processors),
         }
 
 
@@ -260,6 +263,7 @@ _MANIFEST: Mapping[str, Check] = {
     "versions": _VERSIONS,
     "external_assets": mapping(_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
     "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),
+    "processors": listing(text(r"[^\x00-\x1f\x7f|`<>]{1,200}", "a CPU model"), 0, 1000),
 }
 
 
@@ -285,4 +289,5 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
     if spec.category != content["category"]:
         raise ValueError(f"category is {content['category']!r}, but its objects are of {spec.category!r}")
     counts = content["attempts"]
-    return Manifest(spec, content["versions"], hashes, None if counts is None else AttemptCounts(**counts))
+    attempts = None if counts is None else AttemptCounts(**counts)
+    return Manifest(spec, content["versions"], hashes, attempts, tuple(content["processors"]))

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import functools
 import os
 import re
 import shutil
@@ -19,14 +20,17 @@ from lerobot_adamanip.util.errors import DatasetError
 
 COLLECTING, RENDERING, WRITING, CONVERTING = ".partial", ".rendering", ".writing", ".converting"
 """Suffixes of the work folders of collect; render; filter, split and merge; keyframes."""
+RECORDING = ".recording"
+"""Suffix of the work folder of `lerobot_env_adamanip.dataset_recorder.DatasetRecorder`."""
 WORK_FOLDERS = {
     COLLECTING: ("episodes", "attempts", "failed", "collection.json", "dataset", "dataset-failed"),
     RENDERING: ("episodes", "collection.json", "source", "dataset"),
     WRITING: ("dataset",),
     CONVERTING: ("episodes", "dataset", "merged"),
+    RECORDING: ("episodes", "recording.json", "dataset"),
 }
 """Suffix -> allowed names in such a folder."""
-_RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render"}
+_RESUMED = {COLLECTING: "adamanip collect", RENDERING: "adamanip render", RECORDING: "program with DatasetRecorder"}
 """Suffix -> command that can resume from the episodes there."""
 _EPISODE_FOLDERS = ("episodes", "failed")
 _PROBE = "probe"
@@ -166,6 +170,7 @@ def lock_output(root: Path, *, optional: bool = False) -> Iterator[None]:
     path, descriptor = lock_path(root), None
     try:
         descriptor = _locked(path)
+        _close_locks_in_forks()
         _held.add(descriptor)
     except BlockingIOError as error:
         raise DatasetError(
@@ -208,8 +213,12 @@ def _close_locks() -> None:
         os.close(_held.pop())
 
 
+@functools.cache
+def _close_locks_in_forks() -> None:
+    os.register_at_fork(after_in_child=_close_locks)
+
+
 _held: set[int] = set()
-os.register_at_fork(after_in_child=_close_locks)
 
 
 def _require_ours(work: Path, names: tuple[str, ...]) -> None:

@@ -11,6 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, manifest_path
 from lerobot_adamanip.datasets.description import (
@@ -167,6 +168,11 @@ def workspace_of(root: Path, features: dict[str, Any]) -> Workspace:
         return DEFAULT_WORKSPACE if told is None else Workspace(tuple(told["lower"]), tuple(told["upper"]))
     except (KeyError, TypeError, ValueError):
         return DEFAULT_WORKSPACE
+
+
+def camera_of(features: dict[str, Any]) -> str:
+    """Returns the key of the camera whose depth became a dataset's clouds; a dataset names it if it is not `FRONT`."""
+    return str((features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("camera", FRONT))
 
 
 def _recording(folder: Path, features: dict[str, Any]) -> DatasetError:

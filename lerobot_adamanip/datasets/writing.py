@@ -10,14 +10,19 @@ from typing import Any
 import pyarrow as pa
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.reading import read_episodes
 from lerobot_adamanip.datasets.statistics import write_episodes
 from lerobot_adamanip.util.json_fields import parse
 
-_VIDEO: dict[str, Any] = {"encoder_threads": ENCODER_THREADS, "video_backend": "pyav", "video_files_size_in_mb": 25}
+_OPTIONS: dict[str, Any] = {
+    "robot_type": "panda",
+    "encoder_threads": ENCODER_THREADS,
+    "video_backend": "pyav",
+    "video_files_size_in_mb": 25,
+}
 """Files are small because LeRobot copies the whole video file to append an episode."""
 
 
@@ -30,6 +35,7 @@ def create_dataset(
     intrinsics: list[list[float]] | None,
     cameras: Collection[str] = CAMERAS,
     workspace: Workspace | None = None,
+    depth_camera: str = FRONT,
 ) -> Any:
     """Returns an empty LeRobotDataset with the contract's columns.
 
@@ -39,15 +45,16 @@ def create_dataset(
         num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
-        cameras: names of the cameras of the images, including the front one.
-        workspace: box of the clouds, if no manifest has it and it is not the default.
+        cameras: names of the cameras of the images.
+        workspace: see `cloud_info`.
+        depth_camera: see `cloud_info`.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
     cameras = () if image_size is None else cameras
     features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
-    features[schema.POINT_CLOUD]["info"] = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
+    features[schema.POINT_CLOUD]["info"] = cloud_info(workspace, depth_camera)
     if cameras:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
@@ -55,8 +62,7 @@ def create_dataset(
         fps=schema.FPS,
         features=features,
         root=root,
-        robot_type="panda",
-        **_VIDEO,
+        **_OPTIONS,
         rgb_encoder=video_encoder(),
     )
 
@@ -66,6 +72,17 @@ def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
     if workspace is None:
         return {}
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
+
+
+def cloud_info(workspace: Workspace | None, depth_camera: str) -> dict[str, Any]:
+    """Returns the description of a cloud column.
+
+    Args:
+        workspace: box of the clouds, if no manifest has it and it is not the default.
+        depth_camera: key of the camera whose depth becomes the clouds; `FRONT` is not stored.
+    """
+    info = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
+    return info if depth_camera == FRONT else {**info, "camera": depth_camera}
 
 
 def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:

@@ -25,6 +25,8 @@ BEST = "best"
 """Value of ``max_failed_tries``: the failed tries that the best blind strategy needs at worst, see the metrics."""
 TIME_LIMIT, TOO_MANY_TRIES = "time limit", "more failed tries than allowed"
 """Limits that end an episode."""
+MALFORMED_ACTION = "malformed action"
+"""End of an evaluated episode whose policy has returned NaN or infinity."""
 MAX_FAILED_TRIES = 1000
 """Largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
@@ -49,7 +51,7 @@ class EnvironmentOptions:
         assets: folder of external assets to use instead of generated objects; then ``seen`` means all of them.
         num_points: points per cloud.
         image_size: side of the front image [px].
-        observe_images: whether observations hold the image.
+        observe_images: whether observations hold the image; None: if this machine renders.
         poses: see `POSES`.
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
@@ -63,7 +65,7 @@ class EnvironmentOptions:
         run_id: of the evaluation, in those lines; drawn anew by default.
         run_label: name of the run in reports, for instance the policy.
         logged_seeds: log only episodes whose seed, before mapping, is in this range (first, excluded end); default all.
-        workspace: box that the cloud is cropped to, robot base frame [m].
+        workspace: box that the cloud is cropped to, robot base frame [m]; or a mapping with ``lower`` and ``upper``.
 
     Raises:
         ConfigurationError: a value is invalid.
@@ -74,7 +76,7 @@ class EnvironmentOptions:
     assets: str | None = None
     num_points: int = DEFAULT_NUM_POINTS
     image_size: int = IMAGE_SIZE
-    observe_images: bool = True
+    observe_images: bool | None = None
     poses: str = "randomized"
     mechanism_rules: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
@@ -93,6 +95,8 @@ class EnvironmentOptions:
     def __post_init__(self) -> None:
         """Validates all values before a simulator starts."""
         object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides or {})))
+        if isinstance(self.workspace, Mapping):  # as `to_json` returns it
+            object.__setattr__(self, "workspace", _workspace(self.workspace))
         for name in ("assets", "episode_log"):
             value = getattr(self, name)
             object.__setattr__(self, name, None if value is None else str(value))
@@ -179,6 +183,12 @@ def check_late_starts(share: float) -> None:
         raise ConfigurationError(
             "Wrong late_starts of a collection.", got=share, allowed="a share, 0 ... 1", hint="--late-starts 0.15"
         )
+
+
+def _workspace(corners: Mapping[str, Any]) -> Workspace:
+    for name in corners:
+        require_choice("corner of a workspace", name, ("lower", "upper"))
+    return Workspace(**{name: tuple(corner) for name, corner in corners.items()})
 
 
 def _check_workspace(box: Workspace) -> None:

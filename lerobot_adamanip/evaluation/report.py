@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.evaluation.groups import (
     ALL,
@@ -16,12 +17,17 @@ from lerobot_adamanip.evaluation.groups import (
     without_repeats,
     worth_showing,
 )
+from lerobot_adamanip.evaluation.metric_values import Mean, encode
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
 from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.evaluation.text_format import interval_text
+from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
 
 _MADE_BY = ("simulation_version", "version", "mechanism_rules")
+_NO_DATA = frozenset({"-", "0/0"})
+_LIMITS = {"max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses"}
+"""Field of a record that decides how hard its episode is -> what a warning calls its values."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +42,7 @@ class EvaluationSummary:
         made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each
             if evaluations were mixed.
         versions: installed versions by name; different ones are joined by ``and``.
+        limits: field of a record in `_LIMITS` -> values that occur, as text.
     """
 
     episodes: int
@@ -44,6 +51,7 @@ class EvaluationSummary:
     objects: Mapping[str, Rate]
     made_by: Mapping[str, tuple[str, ...]]
     versions: Mapping[str, str]
+    limits: Mapping[str, tuple[str, ...]]
 
     @property
     def scenes(self) -> str:
@@ -92,6 +100,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         objects={name: rate(sum(each), len(each)) for name, each in sorted(objects.items())},
         made_by={name: tuple(sorted({str(getattr(each.provenance, name)) for each in kept})) for name in _MADE_BY},
         versions=joined_versions(each.provenance.versions for each in kept),
+        limits={name: tuple(sorted({str(getattr(each, name)) for each in kept})) for name in _LIMITS},
     )
 
 
@@ -112,11 +121,13 @@ class Comparison:
     Attributes:
         summaries: by label, with equal boundaries of continuous hidden values.
         differences: of the first from each other one on the same scene split, by group.
+        extra_tries: label of another one -> failed tries of the first minus its own, in the scenes that both opened.
         warnings: mixed or incomparable evaluations.
     """
 
     summaries: Mapping[str, EvaluationSummary]
     differences: tuple[GroupDifference, ...]
+    extra_tries: Mapping[str, Mean]
     warnings: tuple[str, ...]
 
     @property
@@ -138,13 +149,16 @@ class Comparison:
         yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in found)]
         for group in self.groups:
             yield [group.label, *(interval_text(summary.success(group)) for summary in found)]
-        for name, metric in METRICS.items():
-            if name not in ("success", "hidden"):  # the groups show both
-                yield [metric.title, *(summary.overall.show(name) for summary in found)]
+        rows = [
+            [metric.title, *(summary.overall.show(name) for summary in found)]
+            for name, metric in METRICS.items()
+            if name not in ("success", "hidden")  # the groups show both
+        ]
         for group in self.groups:
             if group.by in ("category", "hidden"):
                 cells = [each.groups[group].show("wasted_tries") if group in each.groups else "-" for each in found]
-                yield [f"wasted tries, {group.label}", *cells]
+                rows.append([f"wasted tries, {group.label}", *cells])
+        yield from (row for row in rows if not set(row[1:]) <= _NO_DATA)
 
     def lines(self) -> Iterator[str]:
         """Yields the lines below the table: repeats, differences, failures by object, warnings."""
@@ -155,6 +169,10 @@ class Comparison:
             if one.group in shown:
                 gap, low, high = (100 * value for value in (one.success.difference, one.success.low, one.success.high))
                 yield f"{one.first} - {one.second}, {one.group.label}: {gap:+.1f} points [{low:+.1f}, {high:+.1f}]"
+        for label, extra in self.extra_tries.items():
+            if extra.value is not None:
+                scenes = f"{extra.count} scenes that both opened"
+                yield f"{next(iter(self.summaries))} - {label}, failed tries in the {scenes}: {extra.value:+.2f}"
         for label, summary in self.summaries.items():
             failed = [
                 f"{name} {each.episodes - each.count}/{each.episodes}"
@@ -172,6 +190,7 @@ class Comparison:
                 {"first": one.first, "second": one.second, **asdict(one.group), **asdict(one.success)}
                 for one in self.differences
             ],
+            "extra_tries": encode(self.extra_tries),
             "warnings": list(self.warnings),
         }
 
@@ -192,7 +211,18 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         for group in reference.groups
         if group in summary.groups
     )
-    return Comparison(summaries, differences, tuple(warnings_of(summaries)))
+    mine, *theirs = (_failed_tries(records) for records in evaluations.values())
+    extra = {
+        label: Mean(sum(mine[scene] - tries[scene] for scene in both), len(both))
+        for label, tries in zip(list(evaluations)[1:], theirs, strict=True)
+        for both in [mine.keys() & tries.keys()]
+    }
+    return Comparison(summaries, differences, extra, tuple(warnings_of(summaries)))
+
+
+def _failed_tries(records: Sequence[EpisodeRecord]) -> dict[tuple[object, ...], int]:
+    """Returns scene -> failed tries of the successes."""
+    return {each.identity: each.failed_tries for each in without_repeats(records) if each.success}
 
 
 def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
@@ -204,14 +234,19 @@ def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
             yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
         if "train" in summary.scenes:
             yield f"{label}: scenes that demonstrations are recorded in are among these"
+        for rules in summary.made_by["mechanism_rules"]:
+            if line := unchanged_rules(map(category_of, summary.objects), rules):
+                yield f"{label}: {line}"
         for name in ("simulation_version", "mechanism_rules"):
             if len(found := summary.made_by[name]) > 1:
                 yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
-    for what, sets in (
+    compared: list[tuple[str, list[tuple[str, ...]]]] = [
         ("simulation versions", [summary.made_by["simulation_version"] for summary in summaries.values()]),
         ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
         ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
-    ):
+        *((what, [summary.limits[name] for summary in summaries.values()]) for name, what in _LIMITS.items()),
+    ]
+    for what, sets in compared:
         if len(set(sets)) > 1:
             told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
             yield f"not to be compared: {what} differ ({told})"

@@ -21,10 +21,9 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
 from lerobot_adamanip.util.json_fields import choice, integer, listing, number, optional, read, record, text
+from lerobot_adamanip.util.machine_paths import MACHINE_PATH
 
 KINDS = ("expert", "policy")
-MACHINE_PATH = r"(?<![\w.])/(?:home|root|work|tmp|Users|mnt|data)/|(?<![A-Za-z])[A-Za-z]:\\"
-"""Pattern of the start of an absolute path."""
 PRIVATE_PATH = re.compile(MACHINE_PATH + "|://|@")
 """Content that a published command must not have: local paths, addresses, users."""
 

@@ -22,6 +22,8 @@ _ADDRESS_BEFORE = re.compile(
     r"(?:://|@|\b(?:ip|ipv4|inet|addr|address|host|node|server|gateway|peer|client|dns|ping|ssh|from|to|at)\b\W{0,4})$",
     re.I,
 )
+_LOGIN_BEFORE = re.compile(r"://[^\s/@]*:$")
+"""Text directly before a password in an address, which must not be shown as an e-mail address."""
 _ADDRESS_BEHIND = re.compile(r":\d{2,5}\b|/\d{1,2}\b")
 _PUBLIC_MAIL = ("example.com", "example.org", "example.net", "users.noreply.github.com")
 _DOCUMENTATION = tuple(
@@ -45,7 +47,8 @@ def find_addresses(text: str) -> Iterator[tuple[str, str]]:
             yield "address", found.group()
     for found in _EMAIL.finditer(text):
         name, _, domain = found.group().partition("@")
-        if domain.lower() not in _PUBLIC_MAIL and name != "git":
+        is_password = _LOGIN_BEFORE.search(text[max(0, found.start() - 200) : found.start()])
+        if domain.lower() not in _PUBLIC_MAIL and name != "git" and not is_password:
             yield "e-mail", found.group()
     for found in _HOST.finditer(text):
         yield "host", found.group()

@@ -1,4 +1,4 @@
-"""Searches files for folders, users, hosts and addresses before publishing."""
+"""Searches files for folders, users, hosts, addresses and secrets before publishing."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.cards.templates import template_texts
-from lerobot_adamanip.evaluation.results import MACHINE_PATH
 from lerobot_adamanip.hub.private_addresses import find_addresses
+from lerobot_adamanip.hub.secrets import find_secrets
 from lerobot_adamanip.util.errors import DatasetError, listed
+from lerobot_adamanip.util.machine_paths import MACHINE_PATH
 
 _TEXT = (".json", ".jsonl", ".md", ".py", ".txt", ".yaml", ".yml", ".toml", ".csv")
 _SHORTEST, _SHORTEST_IN_BYTES = 4, 7
@@ -34,12 +35,12 @@ _BINARY_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/", re
 
 @dataclass(frozen=True)
 class Finding:
-    """A name or path of a machine or person.
+    """A secret, or a name or path of a machine or person.
 
     Attributes:
         file: relative path.
-        kind: ``path``, ``user``, ``host``, ``address`` or ``e-mail``.
-        text: matched text.
+        kind: ``path``, ``user``, ``host``, ``address``, ``e-mail``, or the name of a kind of secret.
+        text: matched text; of a secret only its beginning.
     """
 
     file: str
@@ -103,17 +104,18 @@ def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -
     """Raises `DatasetError` with the first files in which `scan` finds something."""
     if found := scan(files, names, owner=owner):
         raise DatasetError(
-            "Files contain names or addresses of a machine or a person.",
+            "Files contain secrets, or names or addresses of a machine or a person.",
             got=listed([f"{each.file}: {each.kind} {each.text!r}" for each in found]),
-            allowed="no folder, user, host, network address or e-mail address in any file",
+            allowed="no token, key, password, folder, user, host, network address or e-mail address in any file",
             hint="edit the file, or create it again with relative paths; then run the same command again",
         )
 
 
 def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> Iterator[Finding]:
     """Yields the findings in a text, or in bytes decoded as Latin-1."""
-    for path in (_BINARY_PATH if binary else _TEXT_PATH).finditer(text):
-        yield Finding(file, "path", path.group()[:120])
+    if binary:
+        for path in _BINARY_PATH.finditer(text):
+            yield Finding(file, "path", path.group()[:120])
     for folder in names.folders:
         if (folder.encode().decode("latin-1") if binary else folder) in text:
             yield Finding(file, "path", folder)
@@ -122,8 +124,10 @@ def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> 
         if re.search(rf"(?<!\w){re.escape(word)}(?!\w)", text, re.ASCII):
             yield Finding(file, kind, name)
     for part in _TEXT_RUN.findall(text) if binary else [text]:
-        for kind, address in find_addresses(part):
-            yield Finding(file, kind, address[:120])
+        for path in _TEXT_PATH.finditer(part):
+            yield Finding(file, "path", path.group()[:120])
+        for kind, found in (*find_addresses(part), *find_secrets(part)):
+            yield Finding(file, kind, found[:120])
 
 
 def _telling_names(names: Names, owner: str, shortest: int) -> Iterator[tuple[str, str]]:

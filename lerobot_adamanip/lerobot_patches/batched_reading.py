@@ -24,7 +24,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.lerobot_patches.support import are_off
+from lerobot_adamanip.lerobot_patches import support
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 
 LOSS = "Training reads row by row: the same batches, 0.6 ms per row, and unused videos are decoded."
@@ -44,7 +44,7 @@ class Mark:
 
 def read_in_batches(dataset_meta: Any) -> None:
     """Applies the patch and marks a dataset's metadata: the policy that reads it uses no images."""
-    if not are_off(LOSS):
+    if not support.are_off(LOSS):
         setattr(dataset_meta, MARK, _apply())
 
 
@@ -52,7 +52,7 @@ def _apply() -> Mark:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     if not hasattr(LeRobotDataset, "__getitems__"):
-        LeRobotDataset.__getitems__ = _get_items
+        support.add(LeRobotDataset, "__getitems__", _get_items)
     return Mark()
 
 

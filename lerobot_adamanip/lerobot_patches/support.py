@@ -13,6 +13,7 @@ NO_PATCHES = "ADAMANIP_NO_PATCHES"
 _log = logging.getLogger(__name__)
 _replaced: list[tuple[Any, str, Any]] = []
 _warned: set[str] = set()
+_ABSENT = object()
 
 
 class UnsupportedError(Exception):
@@ -34,6 +35,12 @@ def replace(owner: Any, name: str, value: Any) -> None:
     setattr(owner, name, value)
 
 
+def add(owner: Any, name: str, value: Any) -> None:
+    """Sets an attribute that a module or class of LeRobot lacks."""
+    _replaced.append((owner, name, _ABSENT))
+    setattr(owner, name, value)
+
+
 def count() -> int:
     """Returns the number of replaced attributes."""
     return len(_replaced)
@@ -42,7 +49,11 @@ def count() -> int:
 def restore(but: int = 0) -> None:
     """Restores replaced attributes, the latest first, except the first ``but`` ones."""
     while len(_replaced) > but:
-        setattr(*_replaced.pop())
+        owner, name, value = _replaced.pop()
+        if value is not _ABSENT:
+            setattr(owner, name, value)
+        elif name in vars(owner):
+            delattr(owner, name)
 
 
 def are_off(loss: str) -> bool:

@@ -215,8 +215,11 @@ class ArticulatedObject:
         raise KeyError(f"{self.object_id} has no part {name!r}; it has {[part.name for part in self.parts]}")
 
     def joint(self, name: str) -> Joint:
-        """Returns a joint by name."""
-        return next(link.joint for link in self.links if link.joint is not None and link.joint.name == name)
+        """Returns a joint by name; raises KeyError that lists the joints if it does not exist."""
+        joints = {link.joint.name: link.joint for link in self.links if link.joint is not None}
+        if name in joints:
+            return joints[name]
+        raise KeyError(f"{self.object_id} has no joint {name!r}; it has {list(joints)}")
 
 
 def annotate(

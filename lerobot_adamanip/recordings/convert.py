@@ -247,6 +247,7 @@ def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id:
         cameras=(FRONT_CAMERA,),
         intrinsics=first["camera"]["intrinsics"],
         workspace=None if options.rows.workspace == DEFAULT_WORKSPACE else options.rows.workspace,
+        depth_camera=options.camera,
     )
     records, lengths = append_shards(dataset, shards, lambda done, total: progress("assemble", done, total))
     write_statistics(root, dataset.meta.features)

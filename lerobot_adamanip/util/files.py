@@ -6,6 +6,7 @@ import contextlib
 import fcntl
 import os
 import shutil
+import uuid
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -38,9 +39,9 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
         content: new content.
         crash_points: names of the points before and after the rename.
     """
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = path.with_name(f".{path.name}.{uuid.uuid4().hex}.tmp")  # threads may write the same file
     try:
-        with open(temporary, "wb") as file:
+        with open(temporary, "xb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
@@ -56,16 +57,22 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
 
 
 def append_line(path: Path, line: str) -> None:
-    """Appends a line; creates the folder if needed.
+    """Appends a line; creates the folder if needed. Several processes can share a log.
 
-    A single write in append mode is atomic, so several processes can share a log.
+    If an earlier write was cut off, the line starts after it, so that a cut line damages no other one.
+
+    Raises:
+        OSError: the line was not written completely, for instance because the disk is full.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
-    try:
-        os.write(descriptor, f"{line}\n".encode())
-    finally:
-        os.close(descriptor)
+    with open(path, "a+b", buffering=0) as file:
+        with contextlib.suppress(OSError):  # some network file systems have no locks
+            fcntl.flock(file, fcntl.LOCK_EX)
+        end = file.seek(0, os.SEEK_END)
+        is_cut = end > 0 and os.pread(file.fileno(), 1, end - 1) != b"\n"
+        rest = memoryview(b"\n" * is_cut + f"{line}\n".encode())
+        while rest:
+            rest = rest[file.write(rest) :]
 
 
 def last_line(path: Path, within: int = 4096) -> str:

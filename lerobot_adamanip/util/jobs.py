@@ -22,6 +22,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Self
 
 from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.running_time import RunningTime
 
 DEFAULT_TIMEOUT = 600.0
 """A worker without a heartbeat for this long counts as hanging [s]. The first one includes the simulator's start."""
@@ -31,6 +32,7 @@ THREAD_LIMITS = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_N
 """Environment of a worker. With one thread, sums have the same order for any number of workers."""
 _STOP_SECONDS = 5.0
 _MIN_BEAT_SECONDS = 1.0
+_MAX_POLL_SECONDS = 1.0
 
 Heartbeat = Callable[[], None]
 """Called at intervals while an item runs."""
@@ -53,7 +55,7 @@ def preload(*modules: str) -> None:
     from multiprocessing.forkserver import ensure_running, set_forkserver_preload
 
     set_forkserver_preload(list(modules))
-    with _thread_limits():
+    with thread_limits():
         ensure_running()
     _preloaded.extend(modules)
 
@@ -106,15 +108,16 @@ class Crashes[Item]:
 
 @dataclass
 class _Worker[Item]:
+    """A worker; ``started`` is a time of `time.monotonic`, ``last_heartbeat`` one of the pool's `RunningTime`."""
+
     process: BaseProcess
     pipe: Connection
     item: Item
     started: float = 0.0
     last_heartbeat: float = 0.0
 
-    def assign(self, item: Item) -> None:
-        self.item, self.started = item, time.monotonic()
-        self.last_heartbeat = self.started
+    def assign(self, item: Item, now: float) -> None:
+        self.item, self.started, self.last_heartbeat = item, time.monotonic(), now
         with contextlib.suppress(OSError):  # a crashed worker is detected when its answer is read
             self.pipe.send(item)
 
@@ -133,10 +136,20 @@ class WorkerPool[Item]:
         session: creates a worker's resources.
         count: maximum number of processes.
         timeout: a worker without a heartbeat for this long is ended and counts as crashed [s].
+        clock: source of the time that `timeout` limits [s].
     """
 
-    def __init__(self, session: Session[Item], count: int, *, timeout: float = DEFAULT_TIMEOUT) -> None:
+    def __init__(
+        self,
+        session: Session[Item],
+        count: int,
+        *,
+        timeout: float = DEFAULT_TIMEOUT,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
         self._session, self._count, self._timeout = session, count, timeout
+        self._poll_seconds = min(_MAX_POLL_SECONDS, timeout / 4)
+        self._running_time = RunningTime(2 * self._poll_seconds, clock)
         self._workers: list[_Worker[Item]] = []
         self._queue: deque[Item] = deque()
         self._crashes = Crashes[Item](MAX_CRASHES, MAX_CONSECUTIVE_CRASHES)
@@ -157,11 +170,12 @@ class WorkerPool[Item]:
         while self._queue or self._workers:
             while self._queue and len(self._workers) < self._count:
                 self._workers.append(self._start(self._queue.popleft()))
-            ready = wait([worker.pipe for worker in self._workers], timeout=min(1.0, self._timeout / 4))
+            ready = wait([worker.pipe for worker in self._workers], timeout=self._poll_seconds)
+            now = self._running_time()
             for worker in list(self._workers):
                 if worker.pipe in ready:
-                    yield from self._received(worker)
-                elif time.monotonic() - worker.last_heartbeat > self._timeout:
+                    yield from self._received(worker, now)
+                elif now - worker.last_heartbeat > self._timeout and not worker.pipe.poll():
                     worker.process.kill()
                     yield from self._crashed(worker, f"hung: no heartbeat for {self._timeout:g} s")
 
@@ -170,27 +184,27 @@ class WorkerPool[Item]:
         here, there = context.Pipe()
         render_threads = max(1, (os.cpu_count() or 1) // self._count)
         process = context.Process(target=_serve, args=(there, self._session, render_threads), daemon=True)
-        with _thread_limits():
+        with thread_limits():
             process.start()
         there.close()
         worker = _Worker(process, here, item)
-        worker.assign(item)
+        worker.assign(item, self._running_time())
         return worker
 
-    def _received(self, worker: _Worker[Item]) -> Iterator[JobResult[Item]]:
+    def _received(self, worker: _Worker[Item], now: float) -> Iterator[JobResult[Item]]:
         try:
             kind, value = worker.pipe.recv()
         except (EOFError, OSError):
             yield from self._crashed(worker)
             return
-        worker.last_heartbeat = time.monotonic()
+        worker.last_heartbeat = now
         if kind == "error":
             raise WorkerError(f"{worker.item}: {value}")
         if kind == "result":
             self._crashes.consecutive = 0
-            result = JobResult(worker.item, value, seconds=worker.last_heartbeat - worker.started)
+            result = JobResult(worker.item, value, seconds=time.monotonic() - worker.started)
             if self._queue:
-                worker.assign(self._queue.popleft())
+                worker.assign(self._queue.popleft(), now)
             else:
                 self._retire(worker)
             yield result
@@ -216,7 +230,7 @@ def _exit_cause(exit_code: int | None) -> str:
 
 
 @contextlib.contextmanager
-def _thread_limits() -> Iterator[None]:
+def thread_limits() -> Iterator[None]:
     """Sets `THREAD_LIMITS` while a process starts, because libraries read them when they are loaded."""
     before = {name: os.environ.get(name) for name in THREAD_LIMITS}
     os.environ.update(THREAD_LIMITS)

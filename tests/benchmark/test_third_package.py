@@ -45,12 +45,11 @@ def install(folder: Path, name: str, points: dict[str, str], modules: dict[str, 
 
 def hold_still(folder: Path, *, registered: bool) -> None:
     """Installs the package of the page; not registered: what LeRobot has of it is left out."""
-    project = tomllib.loads(block("third package: pyproject.toml"))["project"]
-    configuration = block("new: policies/lerobot_policy_adamanip/hold_still/configuration_hold_still.py")
-    module = "configuration_hold_still"
+    project = tomllib.loads(block("third package: pyproject.toml") + block("third package: entry point"))["project"]
     modules = {"benchmark.py": block(f"third package: {project['name']}/benchmark.py")}
     if registered:
-        modules |= {f"{module}.py": configuration, "__init__.py": f"from {project['name']} import {module}\n"}
+        names = ("__init__.py", "configuration_hold_still.py")
+        modules |= {name: block(f"new: my_package/{project['name']}/{name}") for name in names}
     install(folder, project["name"], project["entry-points"][METHODS_GROUP], modules)
 
 

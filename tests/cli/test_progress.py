@@ -66,3 +66,22 @@ def test_on_a_terminal_it_is_bars(monkeypatch: pytest.MonkeyPatch) -> None:
     assert "working" in terminal.getvalue()
     assert "2/5" in terminal.getvalue()
     assert "safe" in terminal.getvalue()
+
+
+def test_the_time_left_is_that_of_this_run() -> None:
+    clock, stream = Clock(), io.StringIO()
+    shown = ProgressLines({"work": "working"}, stream, clock)
+    shown("work", 90, 100)  # recorded by an earlier run
+    clock.now = 50
+    shown("work", 95, 100)
+    assert stream.getvalue().splitlines()[-1] == "working: 95/100 (95 %) after 50 s, about 50 s left"
+
+
+def test_the_start_of_the_work_counts() -> None:
+    clock, stream = Clock(), io.StringIO()
+    shown = ProgressLines({"work": "working", "end": "writing"}, stream, clock)
+    clock.now = 20  # simulators start
+    shown("work", 0, 4)
+    clock.now = 30
+    shown("end", 4, 4)
+    assert stream.getvalue().splitlines() == ["working: 0/4 (0 %) after 20 s", "writing: 4/4 (100 %) after 0 s"]

@@ -14,6 +14,7 @@ from records import record
 from lerobot_adamanip.cli import main as cli
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.report import compare
 from lerobot_adamanip.evaluation.results import read_result
 
 
@@ -130,6 +131,33 @@ def test_a_result_file_says_what_was_measured(
     ]
     assert (result.rows[0].metrics.hidden or {})["locked"] == rate(9, 10)
     assert (result.simulation_version, result.versions) == (SIMULATION_VERSION, {"torch": "2.11.0"})
+
+
+def test_rows_without_data_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "door.jsonl"
+    path.write_text(json.dumps(record(object_id="door_001", try_sequence=(), success=False).to_json()) + "\n")
+    assert cli.main(["report", str(path)]) == 0
+    table = [line for line in capsys.readouterr().out.splitlines() if line.startswith("|")]
+    assert len(table) > 5
+    assert not [line for line in table if set(line.split("|")[2].split()) <= {"-", "0/0"}]
+
+
+def test_rules_that_change_nothing_are_told(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
+    log = Path(logs[0])
+    name = "mechanism_preset" if "mechanism_preset" in log.read_text() else "mechanism_rules"
+    log.write_text(log.read_text().replace(f'"{name}": "paper"', f'"{name}": "hard"'))
+    assert cli.main(["report", str(log)]) == 0
+    assert "The mechanism rules hard are the paper rules for safe." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["max_key_frames", "max_failed_tries", "poses"])
+def test_other_limits_are_compared_with_a_warning(name: str) -> None:
+    records = {label: [record(seed=1)] for label in ("one", "other")}
+    assert not [each for each in compare(records).warnings if "not to be compared" in each]
+    object.__setattr__(records["other"][0], name, 3)
+    (warning,) = [each for each in compare(records).warnings if "not to be compared" in each]
+    assert "(one " in warning
+    assert "other 3)" in warning
 
 
 def test_two_simulation_versions_are_compared_with_a_warning_and_give_no_result(

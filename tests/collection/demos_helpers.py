@@ -35,7 +35,9 @@ _ENVIRONMENT = (
 
 def make_spec(**changes: Any) -> CollectionSpec:
     """A small collection, with changes of its or its environment's options."""
-    environment = {"num_points": 8, "image_size": 64} | {k: changes.pop(k) for k in _ENVIRONMENT if k in changes}
+    environment = {"num_points": 8, "image_size": 64, "observe_images": True} | {
+        k: changes.pop(k) for k in _ENVIRONMENT if k in changes
+    }
     category = changes.pop("category", "safe")
     values = {"objects": OBJECTS, "episodes_per_object": 3, "late_starts": LATE, **changes}
     return CollectionSpec(EnvironmentOptions(category, objects=values["objects"][0], **environment), **values)

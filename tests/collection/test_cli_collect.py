@@ -23,8 +23,8 @@ from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.util.errors import DatasetError
 
-SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--image-size", "64", "--late-starts",
-         "0.5", "--max-attempts", str(ATTEMPTS)]  # fmt: skip
+SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--late-starts", "0.5",
+          "--max-attempts", str(ATTEMPTS)]  # fmt: skip
 
 # Tests may run in the background of a shell, where processes start with SIGINT ignored; a terminal's do not.
 SCRIPT = """
@@ -96,12 +96,11 @@ def test_impossible_requests_fail_before_anything_is_recorded(
         ["--push-to-hub", "--repo-id", "local/safes"],
         ["--worker-timeout", "0"],
         ["--late-starts", "2"],
-        ["--pose-preset", "paper"],
+        ["--pose", "fixed"],
         ["--num-points", "0"],
     ):
         assert main(["collect", str(tmp_path / "dataset"), *arguments]) == 2
-        assert "allowed:" in (told := capsys.readouterr().err)
-        assert "--pose-preset" not in arguments or "... --poses" in told
+        assert "allowed:" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
@@ -110,9 +109,9 @@ def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.
     published: list[tuple[object, ...]] = []
     monkeypatch.setattr(command, "factories", fakes)
 
-    def publish(push: Push) -> tuple[dict[str, int], None]:
+    def publish(push: Push) -> tuple[dict[str, int], None, str]:
         published.append((push.kind, push.folder, push.repo_id, push.private))
-        return {}, None
+        return {}, None, ""
 
     monkeypatch.setattr(Push, "publish", publish)
     call = parse("collect", [str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
@@ -140,8 +139,10 @@ def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_c
     root = tmp_path / "dataset"
     line = ["collect", str(root), *SMALL]
     assert main(line) == 0
-    said = [line for line in capfd.readouterr().err.splitlines() if "No pictures" in line]
-    assert len(said) == (not renders)
+    printed = capfd.readouterr().err.splitlines()
+    said = [line for line in printed if "No pictures" in line]
+    assert len(said) == 2 * (not renders), "at the top, and again at the end"
+    assert renders or printed[-1] == said[-1]
     assert all("setup_vulkan.sh" in each for each in said)
     has = read_manifest(CollectionPaths(root).manifest).spec.environment.observe_images
     assert has is renders
@@ -156,10 +157,41 @@ def test_pictures_that_are_wanted_and_cannot_be_taken_are_an_error_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(pictures, "can_render", lambda: False)
-    for more, said in ((["--images"], "no Vulkan device"), (["--images", "--no-images"], "Contradicting")):
+    for more, said in (
+        (["--images"], "no Vulkan device"),
+        (["--image-size", "64"], "no Vulkan device"),
+        (["--images", "--no-images"], "Contradicting"),
+    ):
         assert main(["collect", str(tmp_path / "dataset"), *SMALL, *more]) == 2
         assert said in capfd.readouterr().err
     monkeypatch.setattr(pictures, "can_render", lambda: pytest.fail("a typo is told before a renderer is looked for"))
     assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--late-starts", "2"]) == 2
     assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--workers", "0"]) == 2
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.usefixtures("fake")
+def test_other_options_are_refused_before_a_simulator_starts(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    root = tmp_path / "dataset"
+    line = ["collect", str(root), *SMALL, "--no-images"]
+    assert main([*line, "--part", "1/2"]) == 0
+    partial = CollectionPaths(root).partial
+    for folder in (partial, root):
+        monkeypatch.setattr(command, "factories", lambda: pytest.fail("a simulator is made"))
+        capfd.readouterr()
+        assert main([*line, "--seed", "5"]) == 2
+        said = capfd.readouterr().err
+        assert f"{folder} holds a collection made with other options: seed differ" in said
+        assert "starting" not in said
+        monkeypatch.setattr(command, "factories", fakes)
+        assert main(line) == 0
+
+
+@pytest.mark.usefixtures("fake")
+def test_rules_that_change_nothing_are_told(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--no-images", "--mechanism-rules", "hard"]) == 0
+    said = capfd.readouterr().err
+    assert "The mechanism rules hard are the paper rules for safe." in said
+    assert "recorded in all: 0/4 (0 %) after " in said, "the first line is there before the first episode"

@@ -10,9 +10,11 @@ import pytest
 from demos_helpers import NoWorkers, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.cli.main import main, parse
+from lerobot_adamanip.collection import record
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.parts import Part
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.util import jobs
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
@@ -45,6 +47,24 @@ def test_two_parts_adopted_are_one_collection(tmp_path: Path, monkeypatch: pytes
     summary = collect(tmp_path / "adopted" / "dataset", make_spec(**same), fakes(**behaviour), options)
     assert (summary.episodes, summary.given_up) == (3, 3)
     same_bytes(whole.parent, tmp_path / "adopted")
+
+
+def test_processors_are_recorded_and_a_mixture_is_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    parts = tmp_path / "first", tmp_path / "second"
+    for number, root in enumerate(parts, 1):
+        monkeypatch.setattr(record, "cpu_model", lambda number=number: f"Processor {number}")
+        collect(root, make_spec(), fakes(), patiently(part=Part(number, 2)))
+    collect(tmp_path / "dataset", make_spec(), fakes(), patiently(adopt=parts))
+    (message,) = caplog.messages
+    assert "Recorded on different processors (Processor 1, Processor 2)" in message
+    manifest = read_manifest(CollectionPaths(tmp_path / "dataset").manifest)
+    assert manifest.processors == ("Processor 1", "Processor 2")
+    caplog.clear()
+    collect(tmp_path / "alone", make_spec(), fakes(), patiently())
+    assert caplog.messages == []
+    assert read_manifest(CollectionPaths(tmp_path / "alone").manifest).processors == ("Processor 2",)
 
 
 def test_what_parts_lack_is_recorded_on_adoption(tmp_path: Path, finished: Path) -> None:

@@ -21,6 +21,7 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim import render_device
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.vector import FlatCloud
 
@@ -46,6 +47,7 @@ def test_command_line_reaches_the_environment() -> None:
         "--env.workspace_lower=[0.2,-0.5,0.4]",
         "--env.split=train",
         "--env.render_backend=cpu",
+        "--env.observe_images=true",
     )
     assert isinstance(config, AdaManipSafeEnvConfig)
     assert (config.type, config.task, config.fps) == ("adamanip_safe", "safe", schema.FPS)
@@ -60,6 +62,7 @@ def test_command_line_reaches_the_environment() -> None:
         hidden_overrides={"locked": True},
         split="train",
         render_backend="cpu",
+        observe_images=True,
     )
     assert env.workspace.lower == (0.2, -0.5, 0.4)
 
@@ -99,6 +102,20 @@ def test_a_former_name_is_one_clear_error(former: str, name: str) -> None:
 )
 def test_a_config_written_before_loads_unless_it_means_something_else(given: dict[str, Any]) -> None:
     assert AdaManipSafeEnvConfig(**given).options.poses == "randomized"
+
+
+def test_parallel_tasks_are_refused_because_they_share_a_policy() -> None:
+    with pytest.raises(AdaManipError, match=r"(?s)Parallel tasks.*got: .*max_parallel_tasks=2.*try:"):
+        make_env_config("adamanip", max_parallel_tasks=2)
+
+
+def test_reading_the_options_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(render_device, "can_render", lambda: False)
+    config = AdaManipSafeEnvConfig()
+    before = dict(config.features)
+    assert config.options.observe_images is None
+    assert config.gym_kwargs["options"] == config.options
+    assert config.features == before
 
 
 @pytest.mark.parametrize(("given", "overrides"), [("false", {"locked": False}), ("true", {"locked": True}), (None, {})])

@@ -5,9 +5,11 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from envs_helpers import SMALL, digest, expert_episode, stay
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.utils.env_checker import check_env
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
@@ -41,13 +43,13 @@ def env(env_type: str, envs: Any) -> Any:
 def test_spaces_seeding_and_success_are_as_agreed(env: KeyframeEnv, env_type: str) -> None:
     first, info = env.reset(seed=5)
     assert env.observation_space.contains(first)
-    assert info == {"is_success": False}
+    assert info == {"is_success": False, "limit": "", "goal_clipped": False}
     assert type(info["is_success"]) is bool
     category = CATEGORIES[env_type.removeprefix("adamanip_")]
     assert env.task == env.task_description == category.instruction
     step, reward, terminated, truncated, info = env.step(stay(env))
     assert [type(value) for value in (reward, terminated, truncated)] == [float, bool, bool]
-    assert set(info) == {"is_success"}
+    assert set(info) == {"is_success", "limit", "goal_clipped"}
     for observation in (first, step):
         assert env.observation_space.contains(observation)
         assert all(np.isfinite(observation[key]).all() for key in ("agent_pos", "effort", "point_cloud"))
@@ -62,11 +64,58 @@ def test_spaces_seeding_and_success_are_as_agreed(env: KeyframeEnv, env_type: st
 def test_gymnasiums_checker_has_nothing_to_say(env: KeyframeEnv, env_type: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        # Poses are not bounded by the space (the driver clips them, and says what it reached).
-        warnings.filterwarnings("ignore", message=".*(infinity|symmetric and normalized|spec).*")
+        # Actions are metres, so that a policy's are those of the arm; `RescaleAction` normalises them.
+        warnings.filterwarnings("ignore", message=".*symmetric and normalized.*")
         # A random pose may bring the arm before the camera.
         warnings.simplefilter("ignore", RepeatedPointsWarning)
-        check_env(env, skip_render_check=True)
+        check_env(env, skip_close_check=True)
+
+
+@every_environment
+def test_an_id_makes_an_environment_that_its_spec_describes(env_type: str) -> None:
+    category = CATEGORIES[env_type.removeprefix("adamanip_")]
+    options = {"objects": "0:2", "num_points": 16, "observe_images": False, "hidden_overrides": {}}
+    options["workspace"] = {"lower": (0.2, -0.4, 0.4), "upper": (0.9, 0.4, 1.1)}
+    made = gym.make(category.keyframe_id, **options)
+    direct = KeyframeEnv(category.name, **options)
+    for spec in (made.spec, direct.spec):
+        again = gym.make(EnvSpec.from_json(spec.to_json()))
+        assert again.unwrapped.options == made.unwrapped.options == direct.options
+        assert again.observation_space == made.observation_space == direct.observation_space
+        again.close()
+    for space in (made.action_space, *made.observation_space.spaces.values()):
+        assert np.isfinite([space.low, space.high]).all()
+    made.close()
+
+
+def test_any_action_of_the_space_is_executed_and_info_keeps_its_keys(envs: Any) -> None:
+    """As stable-baselines3's checker and Minari's collector require."""
+    env = envs("lamp")
+    _, first = env.reset(seed=5)
+    env.action_space.seed(0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RepeatedPointsWarning)
+        for _ in range(8):
+            observation, _, _, _, info = env.step(env.action_space.sample())
+            assert env.observation_space.contains(observation)
+            assert {key: type(value) for key, value in info.items()} == {
+                key: type(value) for key, value in first.items()
+            }
+
+
+@pytest.mark.parametrize("mode", ["sync", pytest.param("async", marks=pytest.mark.nightly)])
+@pytest.mark.usefixtures("no_vulkan")
+def test_gymnasium_makes_several_where_nothing_renders(mode: str) -> None:
+    made = gym.make_vec("AdaManipKeyframe-Lamp-v0", 2, mode, objects="0:2", num_points=16, max_key_frames=1)
+    try:
+        observations, _ = made.reset(seed=[5, 6])
+        assert observations["point_cloud"].shape == (2, 16, 3)
+        assert "pixels" not in observations
+        made.action_space.seed(0)
+        assert made.step(made.action_space.sample())[3].all()
+        assert not made.step(made.action_space.sample())[3].any()  # the next episode
+    finally:
+        made.close()
 
 
 @every_environment

@@ -41,8 +41,8 @@ def test_a_world_is_served_where_nothing_renders(tmp_path: Path) -> None:
     assert len(np.unique(observation["pixels"]["preview"])) > 20, "a shaded picture, not a black one"
     ends = [env.step(observation["agent_pos"][: schema.ACTION_DIM])[2:] for _ in range(2)]
     assert ends == [
-        (False, False, {"is_success": False}),
-        (False, True, {"is_success": False, "limit": TIME_LIMIT}),
+        (False, False, {"is_success": False, "limit": "", "goal_clipped": False}),
+        (False, True, {"is_success": False, "limit": TIME_LIMIT, "goal_clipped": False}),
     ]
     env.close()
     (record,) = read_log(log)  # what the server does not pass on: hidden state, tries, outcomes

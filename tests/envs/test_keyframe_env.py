@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -83,12 +84,30 @@ def test_object_id_chooses_seen_and_unseen_objects(env: KeyframeEnv) -> None:
 
 
 def test_a_refused_reset_leaves_no_episode_and_the_next_works(env: KeyframeEnv) -> None:
-    for options in ({"object_id": "fridge_001"}, {"hidden_overrides": {"lokced": True}}):
+    for options in (
+        {"object_id": "fridge_001"},
+        {"object_id": "door_001"},
+        {"object_id": "0:2"},
+        {"objectid": "safe_002"},
+        {"hidden_overrides": {"lokced": True}},
+    ):
         with pytest.raises(ConfigurationError):
             env.reset(seed=5, options=options)
         with pytest.raises(gym.error.ResetNeeded):
             env.step(np.zeros(10, np.float32))
     assert env.observation_space.contains(env.reset(seed=5)[0])
+
+
+def test_a_reset_leaves_the_callers_garbage_collector_alone(env: KeyframeEnv) -> None:
+    env.reset(seed=5)
+    assert gc.get_freeze_count() < 1000  # what the interpreter itself freezes
+    gc.freeze()
+    try:
+        frozen = gc.get_freeze_count()
+        env.reset(seed=5)
+        assert gc.get_freeze_count() >= frozen - 1000
+    finally:
+        gc.unfreeze()
 
 
 def test_nothing_runs_before_reset_or_after_close() -> None:

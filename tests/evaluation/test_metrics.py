@@ -252,3 +252,13 @@ def test_every_group_that_two_evaluations_share_has_a_difference_parted_at_the_s
     assert gaps[ALL] == gaps[Group("hidden", "safe: locked")] == 1.0
     assert Group("hidden", "safe: knob_range < 1.65") not in gaps, "the second has none below"
     assert Group("hidden", "safe: knob_range < 1.65") in comparison.groups
+
+
+def test_failed_tries_are_compared_in_the_scenes_that_both_opened() -> None:
+    mine = [record(seed=1, wrong_turns=3), record(seed=2, wrong_turns=1), record(seed=3), record(seed=4, success=False)]
+    expert = [record(seed=1, wrong_turns=1), record(seed=2), record(seed=4), record(seed=5)]
+    comparison = compare({"mine": mine, "expert": expert})
+    assert (comparison.extra_tries["expert"].value, comparison.extra_tries["expert"].count) == (1.5, 2)
+    assert "mine - expert, failed tries in the 2 scenes that both opened: +1.50" in list(comparison.lines())
+    assert comparison.to_json()["extra_tries"] == {"expert": {"mean": 1.5, "of": 2}}
+    assert compare({"mine": mine, "other": [record(seed=9)]}).extra_tries["other"].value is None

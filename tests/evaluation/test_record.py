@@ -71,19 +71,31 @@ def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Pa
     ids=str,
 )  # fmt: skip
 def test_a_value_that_cannot_be_is_one_clear_error(changes: dict[str, Any], tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"garbled[\s\S]*line 2"):
+    with pytest.raises(DatasetError, match=r"of this version[\s\S]*line 2"):
         read_log(write(tmp_path / "log.jsonl", GOOD, {**GOOD, **changes}))
 
 
-@pytest.mark.parametrize("line", ['{"seed": 1000, "object', "[1, 2]", "text", "NaN", "[" * 100_000])
-def test_garbled_lines_are_one_clear_error(line: str, tmp_path: Path) -> None:
-    with pytest.raises(DatasetError, match=r"garbled[\s\S]*line 3"):
-        read_log(write(tmp_path / "log.jsonl", GOOD, GOOD, line))
+@pytest.mark.parametrize("line", ['{"seed": 1000, "object', "text", "\0\0\0", "\udcff", "}{"])
+def test_a_damaged_line_loses_no_other_one(line: str, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    log = write(tmp_path / "log.jsonl", GOOD, line.encode("utf-8", "surrogateescape").decode("latin-1"), GOOD)
+    log.write_bytes(log.read_text(encoding="utf-8").encode("latin-1"))
+    assert len(read_log(log)) == 2
+    (message,) = caplog.messages
+    assert "skipped damaged lines (2)" in message
+    alone = tmp_path / "alone.jsonl"
+    alone.write_bytes(log.read_bytes().split(b"\n")[1])
+    with pytest.raises(DatasetError, match="no episode log"):
+        read_log(alone)
+
+
+def test_an_episode_that_cannot_be_logged_is_one_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="cannot be added to the episode log"):
+        append_record(Path("/dev/full"), record())
 
 
 def test_a_log_of_another_version_is_told(tmp_path: Path) -> None:
     old = {"seed": 1000, "object_id": "safe_003", "hidden_state": {"locked": True}, "success": True}
-    with pytest.raises(DatasetError, match="another version"):
+    with pytest.raises(DatasetError, match="of this version"):
         read_log(write(tmp_path / "log.jsonl", old))
 
 
@@ -103,5 +115,5 @@ def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match="empty"):
         read_log(write(tmp_path / "empty.jsonl", ""))
     (tmp_path / "binary").write_bytes(bytes(range(128, 256)))
-    with pytest.raises(DatasetError, match="Cannot read"):
+    with pytest.raises(DatasetError, match="no episode log"):
         read_log(tmp_path / "binary")

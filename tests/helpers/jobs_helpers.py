@@ -45,6 +45,8 @@ def _do(what: str, beat: Heartbeat) -> None:
         os.kill(os.getpid(), signal.SIGKILL)
     if what == "hang":
         time.sleep(600)
+    if what == "short":
+        time.sleep(1.2)
     if what == "slow":
         for _ in range(60):
             time.sleep(0.1)

@@ -30,6 +30,9 @@ def test_a_dry_run_lists_and_sends_nothing(published: Path, capsys: pytest.Captu
     assert main(["push", "dataset", str(published), "--repo-id", "someone/safes", "--dry-run", "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["files"].keys() == {str(p.relative_to(published)) for p in published.rglob("*") if p.is_file()}
+    assert "repo_id=someone/safes" in told["card"]
+    assert main(["push", "dataset", str(published), "--repo-id", "someone/safes", "--dry-run"]) == 0
+    assert told["card"] in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

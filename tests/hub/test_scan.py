@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
 from collections.abc import Callable, Mapping
@@ -57,6 +58,68 @@ HIDING = {
 }
 
 
+LETTERS = "aB3dE5gH7jK9mN1pQ2rS4tU6vW8xY0zAbCdEfGhIjKlMnOpQrStUvWxYz"
+HEX = "0123456789abcdef" * 4
+JWT = ".".join(
+    base64.urlsafe_b64encode(part).decode().rstrip("=") for part in (b'{"alg":"HS256"}', b'{"sub":"1"}', b"x" * 32)
+)
+SECRETS = (
+    "hf_" + LETTERS[:34],
+    "sk-" + "proj-" + LETTERS[:40],
+    "sk-" + "ant-api03-" + LETTERS,
+    "gh" + "p_" + LETTERS[:36],
+    "github" + "_pat_" + LETTERS[:30],
+    "glpat" + "-" + LETTERS[:20],
+    "AK" + "IAIOSFODNN7EXAMPLE",
+    "AI" + "za" + LETTERS[:35],
+    "nvapi" + "-" + LETTERS[:40],
+    "r8_" + LETTERS[:37],
+    "xoxb" + "-123456789012-abcdefghij",
+    "sk" + "_live_" + LETTERS[:24],
+    "SG." + LETTERS[:22] + "." + LETTERS[:43],
+    JWT,
+    "-----BEGIN " + "OPENSSH PRIVATE KEY-----",
+    "-----BEGIN " + "PRIVATE KEY-----",
+    "wandb" + "_v1_" + LETTERS[:40],
+    '{"wandb_key": "' + HEX[:40] + '"}',
+    "WANDB_API_KEY=" + HEX[:40],
+    "machine api.wandb.ai login user password " + HEX[:40],
+    "https://" + "someone:pa55w0rd@git.company.com/x.git",
+    "postgres://" + "me:secret@db/x",
+    '{"api_key": "' + LETTERS[:24] + '"}',
+    "--policy.password=" + LETTERS[:12],
+    "AccountKey=" + LETTERS[:40] + LETTERS[:46] + "==",
+)
+"""Put together here, so that no scanner takes this file for a leak."""
+FOLDERS = (
+    "home", "root", "Users", "Volumes/disk", "private/var", "tmp", "opt", "srv", "mnt", "media", "data", "scratch",
+    "nfs", "gpfs", "lustre", "work", "workspace", "content", "kaggle", "shared", "storage", "var", "lab42",
+)  # fmt: skip
+WINDOWS = (r"C:\Users\x", r"C:\\Users\\x", "D:/robots/x", r"\\\\server\\share")
+
+
+@pytest.mark.parametrize("secret", SECRETS)
+@pytest.mark.parametrize("file", ["a.json", "a.parquet", "a.safetensors"])
+def test_a_secret_is_found_and_not_shown(tmp_path: Path, file: str, secret: str, refuses: Refuses) -> None:
+    if file == "a.parquet":
+        parquet(tmp_path / file, f"before {secret} after")
+    else:
+        (tmp_path / file).write_bytes(f"\0\1 before it {secret} after it \0".encode())
+    files = {file: tmp_path / file}
+    message = refuses(DatasetError, lambda: require_clean(files, ME))
+    assert "secrets" in message
+    assert "pa55w0rd" not in message
+    assert not any(secret[start : start + 12] in message for start in range(len(secret) - 11))
+    assert all(finding.kind not in ("user", "host", "address", "path") for finding in scan(files, ME))
+
+
+@pytest.mark.parametrize("path", [f"/{folder}/x/demos" for folder in FOLDERS] + list(WINDOWS))
+@pytest.mark.parametrize("text", ['{{"root": "{}"}}', "--dataset.root={} --seed=1", "'{}'"])
+def test_a_path_of_any_machine_is_found(tmp_path: Path, text: str, path: str) -> None:
+    (tmp_path / "a.json").write_text(text.format(path))
+    assert {finding.kind for finding in scan({"a.json": tmp_path / "a.json"}, ME)} == {"path"}
+
+
 @pytest.mark.parametrize("name", HIDING)
 def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refuses) -> None:
     file, content, kind = HIDING[name]
@@ -78,6 +141,12 @@ def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refus
         '{"a":"b\\n"}',
         "Wandas",
         "the root of data",
+        "outputs/data/x, ./data/x, ~/data/x, $HOME/work/x, ${HOME}/work/x, **/data/*, </data/>, and/or, (x)/opt/y",
+        '{"device": "/dev/video0", "driver": "/usr/share/vulkan/icd.d/x.json", "proc": "/proc/self/fd"}',
+        "revision 0123456789abcdef0123456789abcdef01234567, sha256 " + "0123456789abcdef" * 4,
+        '{"pad_token": "<pad>", "token": null, "password": null, "api_key": "", "keys": ["state"], "private": false}',
+        "export HF_TOKEN=YOUR_TOKEN; WANDB_API_KEY=$WANDB_API_KEY; sk-learn, task-space-control-with-4-fingers",
+        "key: int, https://host:8080/x, a:b@c, eyJ.x.y, user: password, BEGIN CERTIFICATE",
         "a/tmp/b",
         "torch 2.11.0, embreex 4.4.0.post1, nvidia-cublas-cu12==12.4.5.8, nvidia-curand-cu12==10.3.5.147",
         "cuDNN 9.1.0.70, driver version 10.2.0.3, libtiff-10.1.2.3, v10.0.0.1",

@@ -54,6 +54,13 @@ def test_lerobots_rollout_and_policy_server_refuse_the_type(make: Any, tmp_path:
             build_rollout_context(wanted, Event())
 
 
+def test_without_a_history_of_actions_chunks_of_any_observations_are_given(make: Any, observations: Any) -> None:
+    policy, before = make("dp3_adaptive", preset="dp3", n_obs_steps=2, n_action_history_steps=0)
+    for observation in observations:
+        chunk = policy.predict_action_chunk(before(observation))
+        assert chunk.shape == (1, policy.config.horizon, 10)
+
+
 @pytest.mark.parametrize("policy_type", HISTORIES)
 def test_chunks_are_given_between_selected_actions_and_refused_without(
     make: Any, observations: Any, policy_type: str

@@ -244,6 +244,21 @@ def test_it_is_adamw_up_to_rounding_also_after_a_resume(tmp_path: Path) -> None:
     torch.testing.assert_close(trained(resumed, again, 10, 1), trained(one, fused, 10, 1), rtol=1e-5, atol=1e-7)
 
 
+def test_moments_that_decay_become_zero_and_no_switch_of_the_process_is_turned() -> None:
+    weights = [torch.nn.Parameter(torch.ones(4)) for _ in range(2)]
+    built, plain = FusedAdamWConfig(**VALUES).build(weights[:1]), AdamWConfig(**VALUES).build(weights[1:])
+    for weight, optimizer in zip(weights, (built, plain), strict=True):
+        weight.grad = torch.full((4,), 1e-3)
+        optimizer.step()
+        weight.grad = torch.zeros(4)
+        for _ in range(1_999):
+            optimizer.step()
+    assert torch.equal(*weights)
+    assert 0 < float(plain.state[weights[1]]["exp_avg"].abs().max()) < torch.finfo(torch.float32).tiny  # denormal
+    assert not built.state[weights[0]]["exp_avg"].any()
+    assert float(torch.tensor(1e-39) * 1.0) > 0
+
+
 def test_groups_devices_without_the_kernel_and_lerobots_registry_are_served() -> None:
     model = small_model()
     groups = [{"params": [weight], "lr": 0.1 * place} for place, weight in enumerate(model.parameters(), 1)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 import torch
 from lerobot.configs.policies import PreTrainedConfig
-from lerobot.policies.factory import make_policy, make_pre_post_processors
+from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from safetensors.torch import load_file, save_file
 from toy_demos import observed, toy_world, trained
 
@@ -67,6 +68,31 @@ def test_every_weight_learns(make: MakePolicy, batch_of: Any, method: str, chang
     assert not still
     if method not in AFFORDANCE:
         assert all(weight.grad is None for weight in policy.ema_model.parameters())
+
+
+@pytest.mark.parametrize("method", [*AFFORDANCE, *VARIANTS])
+def test_the_mean_of_the_losses_of_samples_is_the_loss(make: MakePolicy, batch_of: Any, method: str) -> None:
+    """LeRobot's `--sample_weighting` weights them."""
+    policy, before, _, dataset = make(method)
+    batch = batch_of(dataset, before)
+    results = []
+    for reduction in ("mean", "none"):
+        torch.manual_seed(1)
+        results.append(policy.forward(dict(batch), reduction=reduction)[0])
+    loss, each = results
+    assert each.shape == (len(dataset),)
+    assert each[-1] == 0  # the final observation has no label
+    torch.testing.assert_close(each.mean(), loss, rtol=1e-4, atol=1e-6)
+    each.mean().backward()
+    with pytest.raises(ConfigurationError, match="Unknown reduction"):
+        policy.forward(dict(batch), reduction="sum")
+
+
+@pytest.mark.parametrize("method", [*AFFORDANCE, "dp3_adaptive"])
+def test_lerobot_finds_the_class_of_the_configuration(method: str) -> None:
+    policy = get_policy_class(method)
+    config = PreTrainedConfig.get_choice_class(method)
+    assert issubclass(config, inspect.signature(policy.__init__).parameters["config"].annotation)
 
 
 @every_affordance

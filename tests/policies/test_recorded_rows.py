@@ -118,6 +118,13 @@ def test_a_batch_of_another_dataset_is_refused(
     assert torch.isfinite(policy.forward(batches[1])[0])
 
 
+def test_a_batch_without_its_observed_steps_is_refused(make_toy_policy: MakePolicy, toy_root: Path) -> None:
+    policy, before, *_ = make_toy_policy("dp3_adaptive", toy_root, **SHAPES[2])
+    single = LeRobotDataset(REPO_ID, root=toy_root)
+    with pytest.raises(ConfigurationError, match=r"(?s)observed steps.*1 steps.*n_obs_steps=2.*delta_timestamps"):
+        policy.forward(before(torch.utils.data.default_collate([single[row] for row in (3, 9)])))
+
+
 def test_an_augmentation_that_the_checkpoints_processor_lacks_is_refused(
     make_toy_policy: MakePolicy, toy_root: Path
 ) -> None:

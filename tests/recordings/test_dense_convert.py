@@ -16,7 +16,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.reading import episode_table, open_dataset, read_info
+from lerobot_adamanip.datasets.reading import camera_of, episode_table, open_dataset, read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import accepted
@@ -109,6 +109,17 @@ def test_a_mix_has_both_and_passes_the_check(recording: Path, finished: Path, tm
     assert {each.kind for each in findings} <= {each.kind for each in check(finished).findings}
     assert all(each.episode is None or each.episode >= 2 for each in findings)
     assert not list(tmp_path.glob("mix.*"))
+
+
+def test_the_camera_of_the_clouds_is_named_also_in_a_mix(
+    recording: Path, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened = DenseRecording.open
+    monkeypatch.setattr(DenseRecording, "open", lambda root, camera: opened(root))  # its only camera is front
+    for sources, camera in (([recording], "front"), ([recording], "side"), ([recording, finished], "side")):
+        out = tmp_path / f"{camera}_{len(sources)}"
+        convert(sources, out, replace(OPTIONS, camera=camera))
+        assert camera_of(read_info(out)["features"]) == camera
 
 
 def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:

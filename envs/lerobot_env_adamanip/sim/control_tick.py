@@ -30,7 +30,8 @@ class Closing:
     """Detects that fingers close around a part: their target falls, or fell `GRIP_TICKS` ago, and the arm stays."""
 
     def __init__(self) -> None:
-        self._finger, self._arm, self._left = np.inf, np.zeros(NUM_ARM_JOINTS), 0
+        self._finger, self._left = np.inf, 0
+        self._arm: NDArray[np.float64] = np.zeros(NUM_ARM_JOINTS)
 
     def update(self, arm: NDArray[np.float64], finger: float) -> bool:
         """Advances by one control tick with joint targets (7,) [rad] and a finger target [m]."""

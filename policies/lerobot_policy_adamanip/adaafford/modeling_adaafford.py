@@ -1,7 +1,5 @@
 """``adaafford``: chooses contacts and motions from the results of its own interactions. See the package."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -24,8 +22,16 @@ from lerobot_policy_adamanip.affordance import plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.affordance.networks import mean_of_best, point_near, points_away
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
+from lerobot_policy_adamanip.common.losses import (
+    Weighted,
+    error_by_group,
+    free_bits,
+    logistic_loss,
+    sum_losses,
+    valid_rows,
+)
 from lerobot_policy_adamanip.common.policy import ChunkGuard
+from lerobot_policy_adamanip.common.recorded_rows import INDEX
 
 OFFSET = slice(plans.GRASP_GROUPS[0], plans.GRASP_GROUPS[0] + plans.GRASP_GROUPS[1])
 """Entries of a proposal that hold the offset of the tool from a place in the cloud."""
@@ -46,8 +52,8 @@ class AdaAffordPolicy(AffordancePolicy):
 
     # Training ---------------------------------------------------------------------------------------------------
 
-    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the modules' losses, over the rows that have interactions with a known result."""
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
+        """Returns the sum of the modules' losses over rows with known results of interactions; see `sum_losses`."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         recorded = self.rows_of(batch)
         candidates = labels.candidates[recorded]
@@ -69,13 +75,13 @@ class AdaAffordPolicy(AffordancePolicy):
         errors = [self._success_error(known, features[1], each) for each in (z, prefix)]
         information = self._information_error(past, features[0], latest, prefix, errors[1] - errors[0])
         losses = {
-            "success_loss": weighted_mean(errors[0] + errors[1], weight),
-            "elsewhere_loss": weighted_mean(self._negative_error(negatives, features[2], z), weight),
-            "information_loss": weighted_mean(information, weight * past.valid[:, 0]),
+            "success_loss": (errors[0] + errors[1], weight),
+            "elsewhere_loss": (self._negative_error(negatives, features[2], z), weight),
+            "information_loss": (information, weight * past.valid[:, 0]),
             "actor_loss": self._actor_error(cloud, known),
-            "map_loss": weighted_mean(self._map_error(cloud, held, elsewhere, z.detach()), weight),
+            "map_loss": (self._map_error(cloud, held, elsewhere, z.detach()), weight),
         }
-        return sum_losses(losses)
+        return sum_losses(losses, rows, len(batch[INDEX]), reduction)
 
     def _interactions(self, numbers: Tensor) -> Interactions:
         """Looks up interactions (B, K) by number; -1 is padding."""
@@ -126,8 +132,8 @@ class AdaAffordPolicy(AffordancePolicy):
         predicted = self.model.predicted_information(features, prefix, actions, likely)
         return F.l1_loss(predicted.squeeze(1), gained.detach(), reduction="none")
 
-    def _actor_error(self, cloud: Tensor, known: Interactions) -> Tensor:
-        """Returns the actor's ``L1 + KL`` (), with one known try per row as target; added ways back are excluded.
+    def _actor_error(self, cloud: Tensor, known: Interactions) -> Weighted:
+        """Returns the actor's ``L1 + KL`` (B,) of one known try per row, and its weight (B,), 0 for added ways back.
 
         Half of the places are the tool's own, as for motions of a held part. Each number of a motion is its own group,
         since a turn is only one of six. The mean divergence has free bits, as in ``vat_mart``.
@@ -143,8 +149,8 @@ class AdaAffordPolicy(AffordancePolicy):
         error = error_by_group(predicted, target, (*plans.GRASP_GROUPS, *[1] * (target.shape[-1] - plans.GRASP_DIM)))
         offset = (predicted - target)[:, OFFSET].abs().mean(dim=-1)
         error = error + (self.config.offset_weight - 1) * offset
-        divergence = weighted_mean(divergence, weight).clamp(min=self.config.free_divergence)
-        return weighted_mean(error, weight) + self.config.divergence_weight * divergence
+        divergence = free_bits(divergence, weight, self.config.free_divergence)
+        return error + self.config.divergence_weight * divergence, weight
 
     def _map_error(self, cloud: Tensor, held: Tensor, elsewhere: Tensor, z: Tensor) -> Tensor:
         """Returns the maps' errors (B,) at a contact and elsewhere, without gradients of proposals and scores."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND
-from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, read_columns
+from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, is_trained, read_columns
 
 MIN_CLEARANCE_M = 0.05
 """A hand at least this far from a grasp does not hide the part."""
@@ -35,6 +35,7 @@ class Demonstrations:
         failed: (T,) bool, whether that joint did not follow.
         success: (T,) bool, whether the task is done after the command.
         final: (T,) bool, whether the row is an episode's final observation, whose command was not sent.
+        trained: (T,) bool, whether the row's episode is trained on; the others are held out.
         joints: (T, 4) float32 positions of the object's joints before the command [rad or m].
     """
 
@@ -47,6 +48,7 @@ class Demonstrations:
     failed: NDArray[np.bool_]
     success: NDArray[np.bool_]
     final: NDArray[np.bool_]
+    trained: NDArray[np.bool_]
     joints: NDArray[np.float32]
 
     def __len__(self) -> int:
@@ -58,6 +60,10 @@ class Demonstrations:
         starts = np.flatnonzero(np.diff(self.episode, prepend=-1))
         for start, end in zip(starts, [*starts[1:], len(self)], strict=True):
             yield slice(int(start), int(end))
+
+    def trained_episodes(self) -> Iterator[slice]:
+        """Yields the rows of each episode that is trained on."""
+        return (rows for rows in self.episodes() if self.trained[rows.start])
 
     def open_and_away(self, rows: NDArray[np.int64], place: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Returns whether at rows (R,) the hand is open and `MIN_CLEARANCE_M` away from a place (3,) [m]."""
@@ -97,6 +103,7 @@ def read_demonstrations(dataset_meta: Any) -> Demonstrations:
         failed.astype(np.bool_),
         success.astype(np.bool_),
         done.astype(np.bool_) & last,
+        is_trained(dataset_meta, episode),
         read[schema.JOINTS][:, -schema.MAX_OBJECT_JOINTS :],
     )
 

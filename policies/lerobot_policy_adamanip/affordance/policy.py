@@ -1,7 +1,5 @@
 """Base of the point-level policies: one network, and labels that are computed when training starts."""
 
-from __future__ import annotations
-
 from dataclasses import fields
 from typing import Any, ClassVar
 
@@ -43,6 +41,7 @@ class AffordancePolicy(CloudPolicy):
         self._labels: Labels | None = None
         if dataset_meta is not None:
             read_in_batches(dataset_meta)
+            self.match_clouds(dataset_meta, is_trained=config.pretrained_path is not None)
             demonstrations = read_demonstrations(dataset_meta)
             self._labels = Labels(self.make_labels(demonstrations))
             self._recorded = RecordedRows({INDEX: demonstrations.index, EPISODE: demonstrations.episode})

@@ -12,9 +12,16 @@ from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig
 from torch.nn import Parameter
 
+from lerobot_adamanip.contract.cameras import FRONT
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
+from lerobot_policy_adamanip.common.threads import limit_threads_to_quota, stop_spinning_if_busy
 
+MIN_MOMENT = 1e-30
+"""Adam's moments below it are set to zero: they move no weight, and become denormal numbers."""
+FLUSH_STEPS = 100
+"""Number of steps between two such flushes."""
 FUSED_DEVICES = {"cpu", "cuda"}
 """Device types with a fused AdamW kernel in every supported torch."""
 
@@ -25,15 +32,30 @@ class FusedAdamWConfig(AdamWConfig):
     """LeRobot's AdamW as one fused kernel: faster, and equal up to rounding."""
 
     def build(self, params: Iterable[Parameter] | Iterable[dict[str, Any]]) -> torch.optim.AdamW:
-        """Returns the optimizer of parameters or parameter groups. Sets `torch.set_flush_denormal` for the process."""
+        """Returns the optimizer of parameters or parameter groups. On a CPU, see `flush_moments` and `threads` too."""
         groups: list[Any] = list(params)
         values = asdict(self)
         values.pop("grad_clip_norm")
-        # Moments of gradients that stay zero become denormal in float32 within 2,400 steps. A CPU computes many times
-        # slower with denormals, and they move no weight.
-        torch.set_flush_denormal(True)
         weights = [weight for group in groups for weight in (group["params"] if isinstance(group, dict) else [group])]
-        return torch.optim.AdamW(groups, **values, fused={weight.device.type for weight in weights} <= FUSED_DEVICES)
+        devices = {weight.device.type for weight in weights}
+        optimizer = torch.optim.AdamW(groups, **values, fused=devices <= FUSED_DEVICES)
+        if devices == {"cpu"}:
+            limit_threads_to_quota()
+            for hook in (flush_moments, stop_spinning_if_busy):
+                optimizer.register_step_post_hook(hook)
+        return optimizer
+
+
+def flush_moments(optimizer: torch.optim.Optimizer, *_: object) -> None:
+    """Sets moments below `MIN_MOMENT` to zero, every `FLUSH_STEPS` steps.
+
+    Moments of gradients that stay zero become denormal in float32 within 2,400 steps, and rounding keeps them there. A
+    CPU computes many times slower with denormals.
+    """
+    for state in optimizer.state.values():
+        if int(state["step"]) % FLUSH_STEPS == 0:
+            for moment in (state["exp_avg"], state["exp_avg_sq"]):
+                moment.copy_(torch.nn.functional.hardshrink(moment, MIN_MOMENT))
 
 
 @dataclass
@@ -48,6 +70,12 @@ class CloudPolicyConfig(PreTrainedConfig):
     num_points: int = 1024
     # Set automatically: whether state and action are poses, from the dataset's feature names.
     pose_layout: bool | None = None
+    # Set automatically: lower corner of the box that crops clouds, from the dataset: x, y, z [m], robot base frame.
+    workspace_lower: tuple[float, float, float] = DEFAULT_WORKSPACE.lower
+    # Set automatically: upper corner of that box [m].
+    workspace_upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
+    # Set automatically: key of the robot's camera whose depth becomes the cloud, from the dataset.
+    depth_camera: str = FRONT
     # Set automatically: the dataset's action names; lerobot-rollout maps them to a robot's.
     action_feature_names: list[str] | None = None
     # Licence of the published policy, as named on the Hub.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, Self, cast
 
 import numpy as np
 import torch
@@ -66,6 +66,11 @@ class DepthToCloudStep(SameFeaturesStep):
     camera: str = FRONT_CAMERA
     calibration: str | None = None
     _read: CameraCalibration | None = field(default=None, init=False, repr=False)
+
+    @classmethod
+    def of(cls, config: CloudPolicyConfig) -> Self:
+        """Returns the step that makes clouds like those that a policy was trained on."""
+        return cls(config.num_points, config.workspace_lower, config.workspace_upper, config.depth_camera)
 
     def __post_init__(self) -> None:
         """Raises `ConfigurationError` for an invalid number of points."""
@@ -175,6 +180,11 @@ def make_pipelines_with_depth(
 ) -> Pipelines:
     """Returns LeRobot's default pre- and postprocessor, with clouds from depth."""
     steps = make_default_policy_processor_steps(config, dataset_stats)
-    depth = DepthToCloudStep(config.num_points)
-    inputs = [steps.rename_observations, steps.add_batch_dim, depth, steps.to_device, steps.normalize]
+    inputs = [
+        steps.rename_observations,
+        steps.add_batch_dim,
+        DepthToCloudStep.of(config),
+        steps.to_device,
+        steps.normalize,
+    ]
     return cast(Pipelines, make_policy_processor_pipelines(inputs, [steps.unnormalize, steps.to_cpu]))

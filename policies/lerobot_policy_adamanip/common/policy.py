@@ -1,9 +1,6 @@
 """Base of the policies: strict loading of checkpoints, selection of inputs, and a model card for the Hub."""
 
-from __future__ import annotations
-
 import copy
-import json
 import logging
 from collections.abc import Mapping
 from pathlib import Path
@@ -13,8 +10,9 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
-from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.pointcloud import Workspace, as_points
 from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
+from lerobot_adamanip.datasets.reading import camera_of, workspace_of
 from lerobot_adamanip.util.errors import ConfigurationError, listed
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
@@ -32,6 +30,25 @@ class CloudPolicy(PreTrainedPolicy):
     def __init__(self, config: CloudPolicyConfig) -> None:
         super().__init__(config)
         config.validate_features()
+
+    def match_clouds(self, dataset_meta: Any, *, is_trained: bool) -> None:
+        """Stores a dataset's workspace and camera in the configuration, for clouds of a robot's depth at run time.
+
+        Raises `ConfigurationError` if weights that are trained already saw another workspace or camera.
+        """
+        box, camera = workspace_of(Path(dataset_meta.root), dataset_meta.features), camera_of(dataset_meta.features)
+        config = self.config
+        if not is_trained:
+            config.workspace_lower, config.workspace_upper, config.depth_camera = box.lower, box.upper, camera
+            return
+        trained = Workspace(tuple(config.workspace_lower), tuple(config.workspace_upper))
+        if (trained, config.depth_camera) != (box, camera):
+            raise ConfigurationError(
+                "The dataset's clouds have another workspace or camera than those that the checkpoint was trained on.",
+                got=f"{box}, camera {camera}",
+                allowed=f"{trained}, camera {config.depth_camera}",
+                hint="new weights: --policy.type instead of --policy.path",
+            )
 
     def get_optim_params(self) -> Any:
         """Returns the parameters to train, after checking that the result can be published."""
@@ -140,17 +157,10 @@ class CloudPolicy(PreTrainedPolicy):
 
 def log_training_objects(checkpoint: Path) -> None:
     """Logs the objects a checkpoint was trained on, from its ``train_config.json``, if the dataset is available."""
-    from lerobot.utils.constants import HF_LEROBOT_HOME
+    from lerobot_adamanip.datasets.training_data import training_objects
 
-    from lerobot_adamanip.datasets.reading import episode_table
-
-    try:
-        dataset = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))["dataset"]
-        root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
-        objects = sorted(set(map(str, episode_table(root)["object_id"].to_pylist())))
-    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or not available
-        return
-    _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
+    if objects := training_objects(checkpoint):
+        _logger.info("The policy was trained on %d objects: %s.", len(objects), listed(objects))
 
 
 class ChunkGuard:

@@ -6,6 +6,7 @@ LeRobot's readers return observations, actions and a row's ``index``, but no win
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,7 +23,34 @@ from lerobot_adamanip.util.errors import ConfigurationError
 INDEX, EPISODE = "index", "episode_index"
 IS_LABEL = "is_label"
 """Column of `read_recorded_rows`: whether a row's action is a training label."""
+IS_TRAINED = "is_trained"
+"""Column of `read_recorded_rows`: whether a row's episode is trained on."""
 _POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "last row of the episode"
+
+
+def trained_episodes(dataset_meta: Any) -> list[int] | None:
+    """Returns the episodes of the dataset that owns these metadata; None for all.
+
+    LeRobot gives a policy the metadata of all episodes. The dataset object alone knows `--dataset.episodes` and
+    `--dataset.eval_split`, so this looks for it among the objects of the process.
+    """
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+    from lerobot.datasets.streaming_dataset import StreamingLeRobotDataset
+
+    for owner in gc.get_objects():
+        if (
+            issubclass(type(owner), (LeRobotDataset, StreamingLeRobotDataset))
+            and vars(owner).get("meta") is dataset_meta
+        ):
+            episodes: list[int] | None = owner.episodes
+            return episodes
+    return None
+
+
+def is_trained(dataset_meta: Any, episode: NDArray[Any]) -> NDArray[np.bool_]:
+    """Returns whether rows (R,) of these episodes are trained on."""
+    trained = trained_episodes(dataset_meta)
+    return np.ones(len(episode), np.bool_) if trained is None else np.isin(episode, trained)
 
 
 def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[Any]]:
@@ -62,7 +90,7 @@ def _array(table: Any, key: str) -> NDArray[Any]:
 class RecordedRows:
     """Narrow columns, key -> (R, ...), with rows ordered by `INDEX`; `INDEX` and `EPISODE` are among them.
 
-    Contains the downloaded episodes only. The first look-up from a new device copies the columns there.
+    Contains all downloaded episodes, also held-out ones. The first look-up from a new device copies the columns there.
     """
 
     def __init__(self, columns: Mapping[str, NDArray[Any]]) -> None:
@@ -95,9 +123,9 @@ class RecordedRows:
         return self._on(rows.device)[key][rows]
 
     def labelled(self, key: str) -> Tensor:
-        """Returns a column (M, D), on the CPU, at the rows whose action is a label."""
+        """Returns a column (M, D), on the CPU, at the rows that are trained on and whose action is a label."""
         columns = self._on(torch.device("cpu"))
-        return columns[key][columns[IS_LABEL]]
+        return columns[key][columns[IS_LABEL] & columns[IS_TRAINED]]
 
     def around(self, rows: Tensor, steps: Sequence[int]) -> tuple[Tensor, Tensor]:
         """Returns rows (B, T) at steps relative to rows (B,), and whether they exist in the same episode (B, T).
@@ -117,7 +145,7 @@ class RecordedRows:
 
 
 def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
-    """Returns states, labels, executed actions, and a mask of the labels; raises as `read_columns` does.
+    """Returns states, labels, executed actions, and masks of labels and of trained rows; raises as `read_columns` does.
 
     An episode's last row is its final observation, with a command to stay that was not sent. It is no label: a policy
     that learnt it would stop a little before the goal.
@@ -126,4 +154,5 @@ def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
     ends = (DONE,) if DONE in dataset_meta.features else ()
     columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *ends)))
     done = columns.pop(DONE, np.zeros(len(columns[INDEX]))).reshape(-1).astype(np.bool_)
-    return RecordedRows({**columns, EXECUTED: columns[executed], IS_LABEL: ~done})
+    masks = {IS_LABEL: ~done, IS_TRAINED: is_trained(dataset_meta, columns[EPISODE].reshape(-1))}
+    return RecordedRows({**columns, EXECUTED: columns[executed], **masks})

@@ -4,8 +4,6 @@ Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^
 ``diffusion``, the paper's, or ``anchors``, the default, which is no diffusion.
 """
 
-from __future__ import annotations
-
 import copy
 from collections import deque
 from typing import Any
@@ -15,7 +13,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
 from lerobot_policy_adamanip.common.tool_frame import mirrored_motions
@@ -30,7 +28,7 @@ from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindow
 TASK_INDEX = "task_index"
 
 
-def _clear_ema_count(policy: DP3AdaptivePolicy, _: Any) -> None:
+def _clear_ema_count(policy: "DP3AdaptivePolicy", _: Any) -> None:
     """Resets the cached count of updates, because loading weights changes its buffer."""
     policy._ema_count = None
 
@@ -69,7 +67,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
         self._ema_count: int | None = None  # set when `update` reads the buffer
         self.register_load_state_dict_post_hook(_clear_ema_count)
-        self._attach_dataset(dataset_meta)
+        self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
         if self._windows is not None and config.frame == "tool":
             self.fit_anchors(*demonstrated_motions(self._windows.recorded))
         self.reset()
@@ -87,22 +85,23 @@ class DP3AdaptivePolicy(CloudPolicy):
     ):
         """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
-        policy._attach_dataset(dataset_meta)
+        policy._attach_dataset(dataset_meta, is_trained=True)
+        if policy._windows is not None and policy.config.frame == "base" and policy.config.has_pose_layout:
+            # LeRobot reads them next, for the processors of a fine-tuned policy, without calling the policy.
+            dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
         if policy._windows is not None and policy.config.frame == "tool":
             motions, _ = demonstrated_motions(policy._windows.recorded)
             warn_of_other_motions(motions, policy.model.motions.anchors, policy.model.motions.spread)
         return policy
 
-    def _attach_dataset(self, dataset_meta: Any) -> None:
+    def _attach_dataset(self, dataset_meta: Any, *, is_trained: bool) -> None:
         """Reads the dataset columns for training."""
         self._task_weights: Tensor | None = None
         self._windows: TrainingWindows | None = None
         if dataset_meta is None:
             return
         read_in_batches(dataset_meta)
-        if self.config.has_pose_layout and getattr(dataset_meta, "stats", None):
-            # LeRobot passes them to the processors of a fine-tuned policy without calling the policy.
-            dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
+        self.match_clouds(dataset_meta, is_trained=is_trained)
         self._windows = TrainingWindows(self.config, dataset_meta)
         if self.config.balance_tasks:
             self._task_weights = balanced_weights(dataset_meta)
@@ -122,15 +121,15 @@ class DP3AdaptivePolicy(CloudPolicy):
         Args:
             batch: normalised, with S = n_obs_steps: ``observation.point_cloud`` (B, N, 3) metres,
                 ``observation.state`` (B, D), ``action`` (B, A), ``index`` (B,). Observations are (B, S, ...) for S > 1.
-            reduction: ``mean``, or ``none`` for one loss per sample (B,).
+            reduction: ``mean``, or ``none`` for one loss per sample (B,), whose mean is the loss.
         """
         window, actions, is_label = self.training_window(batch)
         losses, weights, metrics = self.head.loss(self._active_model(), window, actions, is_label)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
             weights = weights * self._task_weights[batch[TASK_INDEX]]
-        if reduction == "none":
-            return losses * is_label.any(dim=1), {}
+        if require_choice("reduction", reduction, ("mean", "none")) == "none":
+            return len(losses) * losses * weights / weights.sum().clamp(min=1), {}
         # One transfer for all metrics, because each would synchronise with a GPU.
         metrics = dict(zip(metrics, torch.stack(list(metrics.values())).tolist(), strict=True)) if metrics else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), metrics
@@ -145,6 +144,18 @@ class DP3AdaptivePolicy(CloudPolicy):
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )
         return self._windows.of(batch, self._observations(batch))
+
+    def _get_default_peft_targets(self) -> None:
+        self._validate_peft_config(None)
+
+    def _validate_peft_config(self, peft_config: Any) -> None:
+        """Raises `ConfigurationError`: an adapter is not averaged, and the averaged weights act."""
+        raise ConfigurationError(
+            "dp3_adaptive cannot be trained with PEFT: its averaged weights, which act, have no adapters.",
+            got="--peft.*",
+            allowed=f"a training of all {sum(weight.numel() for weight in self.model.parameters())} weights",
+            hint="--policy.path=CHECKPOINT without --peft.*",
+        )
 
     @torch.no_grad()
     def update(self) -> None:
@@ -197,10 +208,13 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:
-        """Returns the chunk (B, T, A) for ``batch`` and the history, without changing the history. See `ChunkGuard`."""
+        """Returns the chunk (B, T, A) for ``batch`` and the history, without changing the history.
+
+        With a history of actions, see `ChunkGuard`. Observed steps that `select_action` has not seen repeat the first.
+        """
         observed = deque(self._observed, maxlen=self.config.observed_steps)
         observation = self._single(batch)
-        if self.config.n_action_history_steps or self.config.observed_steps > 1:
+        if self.config.n_action_history_steps:
             self._chunks.predict(observation)
         observed.append(self._kept(observation))
         while len(observed) < self.config.observed_steps:

@@ -211,7 +211,7 @@ def make_dp3_adaptive_pre_post_processors(
     if stats and config.has_pose_layout:
         stats = schema.fix_pose_statistics(stats)
     steps = make_default_policy_processor_steps(config, stats)
-    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, DepthToCloudStep(config.num_points)]
+    inputs: list[ProcessorStep] = [steps.rename_observations, steps.add_batch_dim, DepthToCloudStep.of(config)]
     inputs += [InstructionStep(), steps.to_device] if config.use_instruction else [steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:

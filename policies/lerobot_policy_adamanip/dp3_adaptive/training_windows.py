@@ -11,9 +11,9 @@ from lerobot.lerobot_types import TransitionKey
 from lerobot.processor import NormalizerProcessorStep, create_transition
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, EXECUTED, STATE
+from lerobot_adamanip.contract.schema import ACTION, EXECUTED, STATE, fix_pose_statistics
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.recorded_rows import INDEX, IS_LABEL, read_recorded_rows
+from lerobot_policy_adamanip.common.recorded_rows import INDEX, IS_LABEL, read_recorded_rows, trained_episodes
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import SCENE_MOTION
 
@@ -40,10 +40,13 @@ class TrainingWindows:
 
     def __init__(self, config: DP3AdaptiveConfig, dataset_meta: Any) -> None:
         self._config, self.recorded = config, read_recorded_rows(dataset_meta)
+        stats = dataset_meta.stats
+        if config.has_pose_layout and stats:
+            stats = fix_pose_statistics(stats)
         assert config.input_features is not None
         assert config.action_feature is not None
         features = {STATE: config.input_features[STATE], ACTION: config.action_feature}
-        self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, dataset_meta.stats)
+        self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, stats)
         self._is_checked = False
 
     def of(self, batch: dict[str, Any], observations: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
@@ -58,6 +61,7 @@ class TrainingWindows:
         config, recorded = self._config, self.recorded
         if observations[STATE].dim() == 2:
             observations = {key: value[:, None] for key, value in observations.items()}
+        self._check_steps(observations[STATE])
         past, rows = config.n_action_history_steps, recorded.rows(batch[INDEX])
         before, valid = recorded.around(rows, range(-past, 0))
         ahead, exists = recorded.around(rows, range(config.horizon))
@@ -79,6 +83,17 @@ class TrainingWindows:
         done = self._normalize(plain)
         result: Tensor = done[TransitionKey.ACTION] if key == ACTION else done[TransitionKey.OBSERVATION][STATE]
         return result
+
+    def _check_steps(self, state: Tensor) -> None:
+        """Raises `ConfigurationError` unless states (B, S, D) have the observed steps of the configuration."""
+        wanted = self._config.n_obs_steps
+        if state.shape[1] != wanted:
+            raise ConfigurationError(
+                "A batch has the wrong number of observed steps.",
+                got=f"{STATE} with {state.shape[1]} steps",
+                allowed=f"n_obs_steps={wanted}, as (B, {wanted}, {state.shape[-1]})",
+                hint="LeRobotDataset(..., delta_timestamps=resolve_delta_timestamps(config, meta))",
+            )
 
     def _check_augmentation(self, batch: dict[str, Any]) -> None:
         """Raises `ConfigurationError` if the batch's augmentation is not the configured one."""
@@ -110,9 +125,12 @@ class TrainingWindows:
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:
-    """Returns weights by task index, inverse to the tasks' numbers of rows; their mean over rows is 1."""
-    rows: Counter[int] = Counter()
-    for tasks, length in zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True):
-        rows[int(dataset_meta.get_task_index(tasks[0]))] += int(length)
-    mean = sum(rows.values()) / len(rows)
+    """Returns weights by task index, inverse to the tasks' numbers of trained rows; their mean over rows is 1."""
+    trained, rows = trained_episodes(dataset_meta), Counter[int]()
+    for episode, (tasks, length) in enumerate(
+        zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True)
+    ):
+        number = int(dataset_meta.get_task_index(tasks[0]))
+        rows[number] += int(length) if trained is None or episode in trained else 0
+    mean = sum(rows.values()) / sum(count > 0 for count in rows.values())
     return torch.tensor([mean / rows[index] if rows[index] else 0.0 for index in range(1 + max(rows))])

@@ -25,7 +25,7 @@ class ContactLabels:
     Attributes:
         contacts_of: (I, 4) int64 possible contacts at the row with this `index`; -1 for none.
         grasps: (P, 10) float32 pose of contact; its gripper is the opening during the approach.
-        motions: (M, 7) float32 commands in contact, in the tool's frame.
+        motions: (M, 7) float32 commands in contact in trained episodes, in the tool's frame.
     """
 
     contacts_of: NDArray[np.int64]
@@ -49,14 +49,15 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
             counts &= demonstrations.open_and_away(numbers, contact.grasp[:3])
             _add(labels, demonstrations.index[numbers[counts]], len(grasps))
             grasps.append(contact.grasp)
-    if not grasps:
+    motions = motions_in_contact(demonstrations)
+    if not len(motions):
         raise ConfigurationError(
             "The demonstrations contain no contact.",
             got=f"{len(demonstrations)} rows without a contact",
             allowed="episodes in which an open hand closes at a part",
             hint="adamanip collect DIR --category safe",
         )
-    return ContactLabels(labels, np.stack(grasps).reshape(-1, ACTION_DIM), motions_in_contact(demonstrations))
+    return ContactLabels(labels, np.stack(grasps).reshape(-1, ACTION_DIM), motions)
 
 
 def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) -> None:
@@ -68,9 +69,9 @@ def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) ->
 
 
 def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:
-    """Returns the commands (M, 7) sent in contact, in the tool's frame."""
-    spans = [contact for rows in demonstrations.episodes() for contact in demonstrations.contacts(rows)]
-    rows = np.concatenate([np.arange(contact.first, contact.end) for contact in spans])
+    """Returns the commands (M, 7) sent in contact in the episodes that are trained on, in the tool's frame."""
+    spans = [contact for rows in demonstrations.trained_episodes() for contact in demonstrations.contacts(rows)]
+    rows = np.concatenate([np.arange(0), *(np.arange(contact.first, contact.end) for contact in spans)])
     commands, poses = (torch.from_numpy(each[rows]) for each in (demonstrations.commands, demonstrations.poses))
     motions: NDArray[np.float32] = motion_between(commands, poses).numpy()
     return motions.reshape(-1, MOTION_DIM)

@@ -1,7 +1,5 @@
 """``sampling``: grasps as in the demonstrations, then moves at random. See the package's docstring."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -11,8 +9,9 @@ from lerobot_adamanip.contract.schema import POSITION_DIMS
 from lerobot_policy_adamanip.affordance import networks, plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
+from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
+from lerobot_policy_adamanip.common.recorded_rows import INDEX
 from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, pose_after, reverse
 from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
 from lerobot_policy_adamanip.sampling.contact_labels import ContactLabels, draw_contact, label_contacts
@@ -66,8 +65,8 @@ class SamplingPolicy(AffordancePolicy):
         self.model.motions.copy_(torch.cat([typical, reverse(typical)]))
         return labels
 
-    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the losses of affordance and grasps, over the rows with a possible contact."""
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
+        """Returns the losses of affordance and grasps, over the rows with a possible contact; see `sum_losses`."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         contacts = labels.contacts_of[self.rows_of(batch)]
         rows = valid_rows(contacts[:, 0] >= 0)
@@ -79,11 +78,8 @@ class SamplingPolicy(AffordancePolicy):
         logits = self.model.place_logits(cloud, torch.cat([place[:, None], elsewhere], dim=1))
         affordance = logistic_loss(logits, torch.tensor([1.0, 0.0], device=logits.device).expand_as(logits)).mean(dim=1)
         grasping = self.model.grasp_loss(cloud, place, grasp)
-        losses = {
-            "affordance_loss": weighted_mean(affordance, weight),
-            "grasp_loss": weighted_mean(grasping, weight),
-        }
-        return sum_losses(losses)
+        losses = {"affordance_loss": (affordance, weight), "grasp_loss": (grasping, weight)}
+        return sum_losses(losses, rows, len(batch[INDEX]), reduction)
 
     def reset(self) -> None:
         """Drops the remaining key frames."""

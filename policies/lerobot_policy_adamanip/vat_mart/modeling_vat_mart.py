@@ -1,7 +1,5 @@
 """``vat_mart``: proposes grasps and trajectories, scores them, and executes the best. See the package."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch
@@ -13,7 +11,8 @@ from lerobot_policy_adamanip.affordance import networks
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
 from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, PART_RADIUS_M
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows, weighted_mean
+from lerobot_policy_adamanip.common.losses import error_by_group, free_bits, logistic_loss, sum_losses, valid_rows
+from lerobot_policy_adamanip.common.recorded_rows import INDEX
 from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans
@@ -38,7 +37,7 @@ class VatMartNetwork(nn.Module):
         self.actionability = networks.Score(0, features)
 
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``KL + L1 + geodesic`` (), weighted, and the reconstructed trajectories (B, D).
+        """Returns ``KL + L1 + geodesic`` (B,), and the reconstructed trajectories (B, D).
 
         Positions and rotations of key frames weigh alike. The mean divergence has free bits (Kingma et al. 2016):
         with too small a weight, draws fall between the demonstrations; with too large a weight, draws are their mean.
@@ -51,8 +50,8 @@ class VatMartNetwork(nn.Module):
         grasp = error_by_group(predicted[:, :GRASP_DIM], trajectory[:, :GRASP_DIM], GRASP_GROUPS)
         motion = error_by_group(predicted[:, GRASP_DIM:], trajectory[:, GRASP_DIM:], WAYPOINT_GROUPS * config.waypoints)
         angle = config.rotation_weight * angle_between(predicted[:, :6], trajectory[:, :6])
-        divergence = weighted_mean(divergence, weight).clamp(min=config.free_divergence)
-        error = weighted_mean(config.grasp_weight * grasp + motion + angle, weight)
+        divergence = free_bits(divergence, weight, config.free_divergence)
+        error = config.grasp_weight * grasp + motion + angle
         return error + config.divergence_weight * divergence, predicted.detach()
 
     def score(self, cloud: Tensor, places: Tensor, trajectories: Tensor) -> Tensor:
@@ -84,8 +83,8 @@ class VatMartPolicy(AffordancePolicy):
         """Returns the plans and their rows."""
         return label_plans(demonstrations, self.config.waypoints)
 
-    def forward(self, batch: dict[str, Tensor]) -> tuple[Tensor, dict]:
-        """Returns the sum of the three modules' losses, over the rows with a plan."""
+    def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
+        """Returns the sum of the three modules' losses, over the rows with a plan; see `sum_losses`."""
         labels, (cloud, _) = self.labels, self.observed(batch)
         plan = labels.plan_of[self.rows_of(batch)]
         rows = valid_rows(plan >= 0)
@@ -95,17 +94,18 @@ class VatMartPolicy(AffordancePolicy):
         trajectory = encode_trajectory(grasp, labels.waypoints[plan], place)
         elsewhere = networks.points_away(cloud, grasp[:, None, POSITION_DIMS], PART_RADIUS_M, 1)
         places = torch.cat([place[:, None], elsewhere], dim=1)
-        proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, weight * (share > 0))
+        opening = weight * (share > 0)
+        proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, opening)
         # Scores both, or the scorer would learn to tell a proposal from a demonstration.
         score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(
             cloud, places, reconstructed, share
         )
         losses = {
-            "proposal_loss": proposal,
-            "score_loss": weighted_mean(score, weight),
-            "actionability_loss": weighted_mean(self._actionability_loss(cloud, places), weight),
+            "proposal_loss": (proposal, opening),
+            "score_loss": (score, weight),
+            "actionability_loss": (self._actionability_loss(cloud, places), weight),
         }
-        return sum_losses(losses)
+        return sum_losses(losses, rows, len(batch[INDEX]), reduction)
 
     def _score_loss(self, cloud: Tensor, places: Tensor, trajectory: Tensor, share: Tensor) -> Tensor:
         """Returns ``BCE(C, success)`` (B,) of trajectories (B, D), and of negatives: perturbed grasps, other places."""

@@ -26,7 +26,7 @@ class PlanLabels:
         plan_of: (I,) int64 plan of the row with this `index`; -1 for none.
         grasps: (P, 10) float32 pose of contact; its gripper is the opening during the approach.
         waypoints: (P, K, 10) float32 poses in contact, padded with the last.
-        share: (P,) float32 share of the same task's episodes that the plan opens.
+        share: (P,) float32 share of the same task's trained episodes that the plan opens.
     """
 
     plan_of: NDArray[np.int64]
@@ -39,7 +39,7 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
     """Builds a plan from each episode's first contact.
 
     Its rows are those before the fingers close in which the part is visible: the hand is open and away. Its share
-    compares its joint motions with those that each episode of the same task needed, with its own hidden state.
+    compares its joint motions with those that each trained episode of the same task needed, with its own hidden state.
 
     A plan has at most ``waypoints`` key frames in contact, K. Raises `ConfigurationError` if none opens an object.
     """
@@ -113,8 +113,8 @@ def _farthest(joints: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def _needed(demonstrations: Demonstrations) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
-    """Returns each successful episode's largest joint motions until success (E, J), and its task (E,)."""
-    done = [(rows, int(np.argmax(demonstrations.success[rows]))) for rows in demonstrations.episodes()]
+    """Returns each successful trained episode's largest joint motions until success (E, J), and its task (E,)."""
+    done = [(rows, int(np.argmax(demonstrations.success[rows]))) for rows in demonstrations.trained_episodes()]
     done = [(rows, first) for rows, first in done if demonstrations.success[rows.start + first]]
     ends = [min(rows.start + first + 1, rows.stop - 1) for rows, first in done]
     needed = [_farthest(demonstrations.joints[rows.start : end + 1]) for (rows, _), end in zip(done, ends, strict=True)]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.configs.policies import PreTrainedConfig
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.lerobot_types import TransitionKey
-from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.policies.factory import get_policy_class, make_policy, make_pre_post_processors
 from lerobot.rollout.inference.sync import SyncInferenceEngine
 from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_features
+from toy_demos import REPO_ID
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning
@@ -164,6 +168,28 @@ def test_a_checkpoint_of_before_loads_without_the_step(make_tiny: Callable[..., 
     one, other = processed
     assert torch.equal(one[schema.POINT_CLOUD], other[schema.POINT_CLOUD])
     assert torch.equal(one[schema.STATE], other[schema.STATE])
+
+
+@pytest.mark.parametrize("method", ["dp3_adaptive", "sampling"])
+def test_workspace_and_camera_of_the_dataset_reach_the_checkpoint(
+    make_toy_policy: Callable[..., Any], toy_root: Path, tmp_path: Path, method: str
+) -> None:
+    root, box = tmp_path / "dataset", {"lower": [0.2, -0.5, -0.05], "upper": [0.9, 0.5, 0.6]}
+    shutil.copytree(toy_root, root)
+    info = json.loads((root / "meta" / "info.json").read_text())
+    info["features"][schema.POINT_CLOUD]["info"] = {"workspace": box, "camera": "side"}
+    (root / "meta" / "info.json").write_text(json.dumps(info))
+    policy, *_, dataset = saved(lambda: make_toy_policy(method, root), tmp_path / "checkpoint")
+    before, _ = make_pre_post_processors(policy.config, pretrained_path=str(tmp_path / "checkpoint"))
+    step = next(step for step in before.steps if isinstance(step, DepthToCloudStep))
+    expected = {"num_points": policy.config.num_points, "camera": "side", "calibration": None}
+    assert step.get_config() == {**box, **expected}
+    config = PreTrainedConfig.from_pretrained(tmp_path / "checkpoint")
+    config.pretrained_path = tmp_path / "checkpoint"
+    assert make_policy(config, ds_meta=dataset.meta).config.depth_camera == "side"
+    other = LeRobotDataset(REPO_ID, root=toy_root)
+    with pytest.raises(ConfigurationError, match=r"(?s)another workspace or camera.*camera front.*camera side"):
+        make_policy(config, ds_meta=other.meta)
 
 
 def test_lerobots_rollout_engine_acts_from_depth_as_from_the_cloud_of_it(

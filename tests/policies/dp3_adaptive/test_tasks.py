@@ -91,7 +91,7 @@ def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, batch_of: Any) -> Non
     batch = batch_of(dataset, before, 1, 5, 14)
     assert INSTRUCTION not in batch
     torch.manual_seed(0)
-    each, _ = policy(batch, reduction="none")
+    each, _ = policy(batch, reduction="none")  # all three have a label
     each = each.detach()
     assert float(policy._task_weights[0]) == pytest.approx(1.0)  # of one task alone nothing changes
     policy._task_weights = torch.tensor([1.0, 3.0])

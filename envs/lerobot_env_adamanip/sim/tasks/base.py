@@ -195,8 +195,8 @@ class AdaManipTask(BaseEnv):
         return scene.person_camera()
 
     def _clear(self) -> None:
-        scene.freeze_gc_once()
-        super()._clear()
+        with scene.without_full_gc():
+            super()._clear()
 
     def _setup_scene(self) -> None:
         super()._setup_scene()

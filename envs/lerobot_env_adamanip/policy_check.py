@@ -1,0 +1,116 @@
+"""Checks that the policy of a LeRobot command fits the environments: same categories, same observations.
+
+LeRobot compares only the names of images, and gives an environment's configuration no policy. So this reads the
+command's option ``--policy.path``, as LeRobot's own commands do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lerobot.configs import parser
+
+from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.contract.cameras import is_image_column
+from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
+from lerobot_adamanip.datasets.training_data import training_objects, training_options
+from lerobot_adamanip.util.errors import ConfigurationError, listed
+
+if TYPE_CHECKING:
+    from lerobot_env_adamanip.config import AdaManipEnvConfig
+
+
+def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:
+    """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on something else.
+
+    A training with ``--dataset.repo_id`` may continue from a policy of any category.
+    """
+    path = parser.get_path_arg("policy")
+    if path is None:
+        return
+    if parser.parse_arg("dataset.repo_id") is None:
+        _require_categories(path, categories)
+    _require_shapes(path, environment)
+
+
+def trained_categories(checkpoint: Path) -> tuple[str, ...]:
+    """Returns the categories that a checkpoint was trained on; none if they are unknown.
+
+    They are those of its dataset, or of the environment of its training if the dataset is not on this machine.
+    """
+    known = {category_of(name) for name in training_objects(checkpoint)}
+    if not known:
+        environment: Any = training_options(checkpoint).get("env")
+        kind = str(environment.get("type")) if isinstance(environment, Mapping) else ""
+        chosen = str(environment.get("categories", ALL)) if kind == "adamanip" else kind.removeprefix("adamanip_")
+        known = set(CATEGORIES) if chosen == ALL else {name.strip() for name in chosen.split(",")}
+    return tuple(name for name in CATEGORIES if name in known)
+
+
+def _require_categories(path: str, categories: Sequence[str]) -> None:
+    trained = trained_categories(Path(path))
+    foreign = [name for name in categories if name not in trained]
+    if trained and foreign:
+        kind = f"--env.type=adamanip_{trained[0]}"
+        raise ConfigurationError(
+            "The policy was trained on other categories.",
+            got=f"environments of {listed(foreign)}",
+            allowed=f"{listed(trained)}, on which {path} was trained",
+            hint=kind if len(trained) == 1 else f"--env.type=adamanip --env.categories={','.join(trained)}",
+        )
+
+
+def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
+    """Compares the inputs of a policy with the features of the environments, which have the same names in datasets."""
+    from lerobot.configs import PreTrainedConfig
+    from lerobot.envs.utils import env_to_policy_features
+
+    policy = PreTrainedConfig.from_pretrained(path)
+    _require_workspace(policy, path, environment)
+    offered = env_to_policy_features(environment)
+    for name, feature in (policy.input_features or {}).items():
+        if name == POINT_CLOUD and hasattr(policy, "num_points"):
+            continue  # uses the first points of a cloud, and checks their number itself
+        wanted, found = tuple(feature.shape), offered.get(name)
+        if found is not None and tuple(found.shape) != wanted:
+            raise ConfigurationError(
+                f"The policy was trained on {name} of another shape.",
+                got=f"{tuple(found.shape)} from the environments",
+                allowed=f"{wanted}, as {path} was trained",
+                hint=_remedy(name, wanted),
+            )
+        if found is None and is_image_column(name) and not any(is_image_column(key) for key in offered):
+            raise ConfigurationError(
+                "The policy sees images, and the environments observe none.",
+                got=f"observations {listed(sorted(offered))}",
+                allowed=f"{name} {wanted}, as {path} was trained",
+                hint=f"--env.observe_images=true {_remedy(name, wanted)}",
+            )
+
+
+def _require_workspace(policy: Any, path: str, environment: AdaManipEnvConfig) -> None:
+    if not hasattr(policy, "workspace_lower"):
+        return
+    trained = tuple(policy.workspace_lower), tuple(policy.workspace_upper)
+    offered = environment.workspace_lower, environment.workspace_upper
+    if trained != offered:
+        options = zip(("lower", "upper"), map(list, trained), strict=True)
+        raise ConfigurationError(
+            "The policy was trained on clouds of another workspace.",
+            got=f"environments that crop clouds to {offered[0]} to {offered[1]} m",
+            allowed=f"{trained[0]} to {trained[1]} m, as {path} was trained",
+            hint=" ".join(f"--env.workspace_{name}='{corner}'" for name, corner in options),
+        )
+
+
+def _remedy(name: str, shape: tuple[int, ...]) -> str:
+    if is_image_column(name):
+        return f"--env.image_size={shape[-1]}"
+    if name == POINT_CLOUD:
+        return f"--env.num_points={shape[0] // 3}"
+    if name == STATE:
+        return "a policy trained on key frames: adamanip keyframes RECORDING --out DIR"
+    return "train on a dataset of these environments"

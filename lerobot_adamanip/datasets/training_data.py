@@ -1,0 +1,30 @@
+"""Training data of a checkpoint, as its ``train_config.json`` names it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.datasets.reading import episode_table
+
+
+def training_objects(checkpoint: Path) -> list[str]:
+    """Returns the ids of the objects that a checkpoint was trained on; none if its dataset is not on this machine."""
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    try:
+        dataset = training_options(checkpoint)["dataset"]
+        root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
+        return sorted(set(map(str, episode_table(root)["object_id"].drop_null().to_pylist())))
+    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or not available
+        return []
+
+
+def training_options(checkpoint: Path) -> dict[str, Any]:
+    """Returns the options of the training; none if the checkpoint does not hold them."""
+    try:
+        options = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return {}
+    return options if isinstance(options, dict) else {}

@@ -1,0 +1,95 @@
+"""`lerobot-eval` stops a policy that was trained on other observations or on other categories."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.envs.factory import make_env_config
+from lerobot.policies.act.configuration_act import ACTConfig
+from sound_demos import collect_sound
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_env_adamanip import policy_check
+from lerobot_env_adamanip.policy_check import require_fitting_policy, trained_categories
+
+
+def checkpoint(folder: Path, *, pixels: int | None = None, state: int = schema.STATE_DIM, **training: Any) -> Path:
+    """An ACT policy's configuration, and that of its training."""
+    inputs = {schema.STATE: PolicyFeature(FeatureType.STATE, (state,))}
+    if pixels is not None:
+        inputs[schema.FRONT_IMAGE] = PolicyFeature(FeatureType.VISUAL, (3, pixels, pixels))
+    folder.mkdir()
+    ACTConfig(input_features=inputs, push_to_hub=False)._save_pretrained(folder)
+    (folder / "train_config.json").write_text(json.dumps(training))
+    return folder
+
+
+def evaluate(
+    monkeypatch: pytest.MonkeyPatch, path: Path, env_type: str = "adamanip_safe", *more: str, **options: Any
+) -> None:
+    """As `lerobot-eval` makes its environments."""
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={path}", *more])
+    config = make_env_config(env_type, **{"observe_images": False, **options})
+    if not config.observe_images:
+        config.features.pop("pixels/front", None)
+    categories = config.chosen() if env_type == "adamanip" else [config.category]
+    require_fitting_policy(config, categories)
+
+
+DATA = {"dataset": {"root": None, "repo_id": "nobody/nothing"}}
+
+
+def test_another_picture_size_is_one_error_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = checkpoint(tmp_path / "act", pixels=96)
+    with pytest.raises(ConfigurationError, match=r"(?s)got: .*\(3, 256, 256\).*allowed: \(3, 96, 96\).*image_size=96"):
+        evaluate(monkeypatch, path, observe_images=True)
+    evaluate(monkeypatch, path, observe_images=True, image_size=96)
+    with pytest.raises(ConfigurationError, match=r"(?s)observe none.*--env.observe_images=true --env.image_size=96"):
+        evaluate(monkeypatch, path)
+
+
+def test_another_state_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)\(24,\).*\(44,\).*adamanip keyframes"):
+        evaluate(monkeypatch, checkpoint(tmp_path / "dense", state=44))
+
+
+def test_another_category_is_one_error_with_both(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    root = collect_sound(tmp_path / "demos", observe_images=False)
+    path = checkpoint(tmp_path / "act", dataset={"root": str(root), "repo_id": "x/y"}, env={"type": "adamanip_door"})
+    assert trained_categories(path) == ("safe",)  # the dataset decides
+    evaluate(monkeypatch, path)
+    for env_type, options in (("adamanip_door", {}), ("adamanip", {"categories": "safe,door"})):
+        with pytest.raises(
+            ConfigurationError, match=r"(?s)got: +environments of door\n.*allowed: +safe.*adamanip_safe"
+        ):
+            evaluate(monkeypatch, path, env_type, **options)
+    evaluate(monkeypatch, path, "adamanip_door", "--dataset.repo_id=local/doors")  # a training that goes on from it
+
+
+@pytest.mark.parametrize(
+    ("training", "known"),
+    [
+        ({**DATA, "env": {"type": "adamanip_pen"}}, ("pen",)),
+        ({**DATA, "env": {"type": "adamanip", "categories": "lamp, pen"}}, ("pen", "lamp")),
+        ({**DATA, "env": {"type": "pusht"}}, ()),
+        ({**DATA, "env": None}, ()),
+        ({}, ()),
+    ],
+)
+def test_without_the_dataset_the_training_environment_counts(
+    training: dict[str, Any], known: tuple[str, ...], tmp_path: Path
+) -> None:
+    assert trained_categories(checkpoint(tmp_path / "act", **training)) == known
+    assert trained_categories(tmp_path / "nothing") == ()
+
+
+def test_a_program_without_a_policy_is_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["my_program.py"])
+    monkeypatch.setattr(policy_check, "_require_shapes", lambda *_: pytest.fail("no policy"))
+    require_fitting_policy(make_env_config("adamanip_safe"), ["safe"])

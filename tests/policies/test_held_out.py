@@ -1,0 +1,70 @@
+"""Held-out episodes shape nothing that a policy computes from its dataset, but their loss can be measured."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from toy_demos import REPO_ID, record_toy, toy_world
+
+from lerobot_policy_adamanip.common.recorded_rows import trained_episodes
+from lerobot_policy_adamanip.dp3_adaptive.training_windows import balanced_weights
+
+MakePolicy = Callable[..., tuple[Any, ...]]
+TRAINED = [0, 1, 2, 3]
+CASES = [("dp3_adaptive", {"preset": "fast"}), ("dp3_adaptive", {"preset": "diffusion"}), ("sampling", {})]
+
+
+@pytest.fixture(scope="module")
+def part_root(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The first episodes of the adaptive toy dataset alone."""
+    worlds = [toy_world("bottle_000", seed) for seed in TRAINED]
+    return record_toy(tmp_path_factory.mktemp("part") / "dataset", worlds, "adaptive")
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_what_is_fitted_is_that_of_the_trained_episodes_alone(
+    make_toy_policy: MakePolicy,
+    adaptive_toy_root: Path,
+    part_root: Path,
+    batch_of: Any,
+    case: tuple[str, dict[str, Any]],
+) -> None:
+    method, options = case
+    some, before, *_ = make_toy_policy(method, adaptive_toy_root, episodes=TRAINED, **options)
+    part, *_ = make_toy_policy(method, part_root, **options)
+    every, *_ = make_toy_policy(method, adaptive_toy_root, **options)
+    fitted = [dict(policy.model.named_buffers()) for policy in (some, part, every)]
+    assert fitted[0]
+    assert all(torch.equal(value, fitted[1][name]) for name, value in fitted[0].items())
+    assert not all(torch.equal(value, fitted[2][name]) for name, value in fitted[0].items())
+    held_out = LeRobotDataset(REPO_ID, root=adaptive_toy_root, episodes=[4, 5])
+    assert torch.isfinite(some.forward(batch_of(held_out, before))[0])
+
+
+def test_labels_of_plans_count_trained_episodes_alone(
+    make_toy_policy: MakePolicy, adaptive_toy_root: Path, part_root: Path
+) -> None:
+    some, *_ = make_toy_policy("vat_mart", adaptive_toy_root, episodes=TRAINED)
+    part, *_ = make_toy_policy("vat_mart", part_root)
+    every, *_ = make_toy_policy("vat_mart", adaptive_toy_root)
+    shares = [policy.labels.share for policy in (some, part, every)]
+    assert torch.equal(shares[0][: len(shares[1])], shares[1])
+    assert not torch.equal(shares[0], shares[2])
+
+
+def test_a_task_weighs_by_its_trained_rows(adaptive_toy_root: Path) -> None:
+    dataset = LeRobotDataset(REPO_ID, root=adaptive_toy_root, episodes=[0])
+    lengths = dataset.meta.episodes["length"]
+    dataset.meta.episodes = {"tasks": [["a"], ["a"], ["b"]], "length": lengths[:3]}
+    dataset.meta.get_task_index = "ab".index  # type: ignore[method-assign]
+    assert balanced_weights(dataset.meta).tolist() == [1.0, 0.0]
+
+
+def test_the_dataset_of_metadata_is_found_wherever_it_is_kept(adaptive_toy_root: Path) -> None:
+    kept = {"trainer": [LeRobotDataset(REPO_ID, root=adaptive_toy_root, episodes=each) for each in (None, [2], [0, 4])]}
+    assert [trained_episodes(dataset.meta) for dataset in kept["trainer"]] == [None, [2], [0, 4]]
