@@ -34,7 +34,7 @@ DAMAGES = [
     Damage("data lost", to.remove(DATA), [("missing", DATA, 0, None)]),
     Damage("pages overwritten", to.break_pages(2), [("unreadable", DATA, 2, None)]),
     Damage("video lost", to.remove(VIDEO), [("missing", VIDEO, 0, None)]),
-    Damage("video cut off", to.cut(VIDEO, 0.7), [("unreadable", VIDEO, 3, 2)]),
+    Damage("video cut off", to.cut(VIDEO, 0.7), [("unreadable", VIDEO, 3, 3)]),
     Damage("video short", to.edit_film(lambda frames: frames[:-2]), [("video-length", VIDEO, 5, 2)]),
     Damage(
         "video of another episode", to.edit_film(lambda frames: [*frames[4:8], *frames[:4], *frames[8:]]),

@@ -16,6 +16,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.contract.seeds import split_of
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
 
@@ -58,8 +59,8 @@ class SoundEnv(demos_fake_env.FakeEnv):
             clipped_goals=0,
             max_failed_tries=None,
             poses="randomized",
-            try_sequence=tuple((joint, way, bool(failed)) for joint, way, failed in self.tries),
-            provenance=Provenance("0123456789abcdef", "0", "paper"),
+            try_sequence=tuple((int(part), int(way), bool(failed)) for part, way, failed in self.tries),
+            provenance=Provenance(SIMULATION_VERSION, "0", "paper"),
         ).to_json()
 
 
