@@ -55,7 +55,7 @@ def by_name(groups: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
 
 def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     said = report(capsys, *logs)
-    assert set(said) == {"evaluations", "differences", "warnings", "out"}
+    assert set(said) == {"evaluations", "differences", "extra_tries", "warnings", "out"}
     first, second = said["evaluations"]
     assert (first["label"], second["label"]) == ("adaptive", "static")
     groups = by_name(first["groups"])
