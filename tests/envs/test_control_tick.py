@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_env_adamanip.sim.control_tick import FREE_ITERATIONS, ControlTick
+from lerobot_env_adamanip.sim.control_tick import FREE_ITERATIONS, GRIP_TICKS, Closing, ControlTick
 
 
 class Joint:
@@ -77,3 +77,12 @@ def test_every_joint_is_told_where_to_go() -> None:
     world.ticks(1)
     assert [joint.position for joint in world.active_joints] == [*range(7), 0.02, 0.02]
     assert [joint.velocity for joint in world.active_joints[:7]] == [1.0] * 7
+
+
+def test_fingers_close_around_a_part_while_their_target_falls_and_a_moment_longer_if_the_arm_stays() -> None:
+    closing, arm = Closing(), np.zeros(7)
+    assert not closing.update(arm, 0.04), "nothing is known of before"
+    assert [closing.update(arm, 0.04 - 0.004 * k) for k in range(1, 4)] == [True] * 3
+    assert [closing.update(arm, 0.028) for _ in range(GRIP_TICKS + 3)] == [True] * (GRIP_TICKS - 1) + [False] * 4
+    closing.update(arm, 0.02)
+    assert not closing.update(arm + 0.01, 0.016), "the arm moves"

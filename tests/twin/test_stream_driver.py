@@ -111,21 +111,6 @@ def test_out_of_reach_it_says_so_and_stays_where_it_can() -> None:
     assert gantry.qpos[0] == pytest.approx(0.6, abs=1e-3)
 
 
-def test_closing_is_a_detent_and_moving_closed_a_try() -> None:
-    driver = Watched().streaming()
-    driver.follow_target(goal(gripper=0.0))
-    ticks(driver, 1)
-    assert (driver.closing, driver.moving_closed) == (True, False)
-    ticks(driver, LIMITS.grip_ticks)
-    assert (driver.closing, driver.moving_closed) == (False, False)
-    driver.follow_target(goal(0.53, gripper=0.0))
-    ticks(driver, 1)
-    assert (driver.closing, driver.moving_closed) == (False, True)
-    driver.follow_target(goal(0.53, gripper=1.0))
-    ticks(driver, 1)
-    assert (driver.closing, driver.moving_closed) == (False, False)
-
-
 def test_a_malformed_target_is_refused_and_changes_nothing() -> None:
     driver = Watched().streaming()
     driver.follow_target(goal(0.6))

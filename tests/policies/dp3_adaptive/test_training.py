@@ -10,6 +10,7 @@ import torch
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import DONE
 from lerobot_adamanip.util.errors import ConfigurationError
 
 MakeTiny = Callable[..., tuple[Any, ...]]
@@ -18,7 +19,8 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_tiny()
     policy.eval()
-    batch = batch_of(dataset, before, 9, 3)
+    end = next(row for row in range(len(dataset)) if dataset[row][DONE])
+    batch = batch_of(dataset, before, end - 1, 3)
     window, labels, real = policy.training_window(batch)
     assert real.tolist() == [[True] + [False] * 3, [True] * 4]
     wild = labels.clone()

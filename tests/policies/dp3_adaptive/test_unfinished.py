@@ -19,19 +19,17 @@ from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, IS_LABE
 from lerobot_policy_adamanip.dp3_adaptive import modeling_dp3_adaptive
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-END = 10
-"""Row of the first episode's final observation."""
 
 
 @pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
 def test_the_last_row_of_an_episode_has_no_label(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
     policy, before, _, dataset = make_tiny(preset=preset)
     policy.eval()
-    assert dataset[END][schema.DONE]
-    each, _ = policy.forward(batch_of(dataset, before, END, 3), reduction="none")
+    end = next(row for row in range(len(dataset)) if dataset[row][schema.DONE])
+    each, _ = policy.forward(batch_of(dataset, before, end, 3), reduction="none")
     assert each[0] == 0
     assert each[1] > 0
-    _, _, is_label = policy.training_window(batch_of(dataset, before, END - 2, END + 2))
+    _, _, is_label = policy.training_window(batch_of(dataset, before, end - 2, end + 2))
     assert is_label[0].tolist() == ([True, True] + [False] * 2)[: policy.config.horizon]
     assert is_label[1].all()
 

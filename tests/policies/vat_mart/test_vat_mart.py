@@ -115,7 +115,7 @@ def test_the_scorer_learns_the_share_that_opens_and_that_nothing_opens_elsewhere
 ) -> None:
     policy, before, _, dataset = make()
     batch = batch_of(dataset, before, *counting(policy))
-    trained(policy, batch, 120)
+    trained(policy, batch, 240)
     cloud, _ = policy.observed(batch)
     labels, plan = policy.labels, policy.labels.plan_of[batch["index"]]
     grasp = labels.grasps[plan]
