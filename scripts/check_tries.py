@@ -38,8 +38,9 @@ PLACES = {"at": (0.004, 0.05), "near": (0.03, 0.3), "far": (0.25, 1.0)}
 """Place of a hand -> standard deviations of its distance [m] and rotation [rad] from a grasp."""
 WAY, TURN = 0.06, 0.6
 """Standard deviations of a hand's motion [m, rad]."""
-MAX_MOTION = 1e-4
-"""Motion of a held joint that is the solver's tolerance [rad or m]."""
+MAX_GIVING_SHARE = 0.25
+"""Share of `MIN_JOINT_MOTION` by which a held joint may give way, under every hidden state alike: PhysX's limits yield
+a little to a hand that crushes a part (up to 0.002 rad)."""
 
 
 @dataclass
@@ -77,7 +78,7 @@ def play(task: Any, seed: int, hidden: dict[str, Any], result: Result) -> tuple[
     """Runs the hands of a scene; returns all frames, and the number of those before the first try."""
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     rng, frames, untold = np.random.default_rng(seed), [_frame(task)], 1
-    start, names = task.joint_positions(), task.mechanism.joints
+    start, names, kinds = task.joint_positions(), task.mechanism.joints, task.tries.kinds
     for _ in range(HANDS):
         kind, actions = random_hand(task, rng)
         result.hands += 1
@@ -92,7 +93,7 @@ def play(task: Any, seed: int, hidden: dict[str, Any], result: Result) -> tuple[
             moved = {name for name in names if abs(positions[name] - before[name]) > MIN_JOINT_MOTION["revolute"]}
             result.own_motions += len(moved - now)
             for name in set(names) - tried:
-                if abs(positions[name] - start[name]) > MAX_MOTION:
+                if abs(positions[name] - start[name]) > MAX_GIVING_SHARE * MIN_JOINT_MOTION[kinds[name]]:
                     result.wrong.append(f"{name} moved by {positions[name] - start[name]:.3g} without a try; {kind}")
                 if name not in task.mechanism_driver.held:
                     result.wrong.append(f"{name} was released without a try; {kind}")
