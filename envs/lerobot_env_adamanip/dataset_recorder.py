@@ -174,25 +174,25 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         if recorder is None or not recorder.rows:
             return
         env, number = self._env, self.episodes
-        told = env.episode_record()
+        episode_record = env.episode_record()
         columns = recorder.columns()
         record = {
-            "object_id": told["object_id"],
-            "seed": told["seed"],
+            "object_id": episode_record["object_id"],
+            "seed": episode_record["seed"],
             "hidden_state": env.hidden_state(),
             "hidden_overrides": None if self._overrides is None else dict(self._overrides),
             "expert": self._recorded_by,
             "success": bool(columns[schema.SUCCESS].any()),
             "key_frames": len(recorder.rows),
             "task": env.task_description,
-            "episode_record": told,
+            "episode_record": episode_record,
             "versions": {**env.software_versions(), "cpu": cpu_model()},
             "simulation_version": SIMULATION_VERSION,
             "data_version": DATA_VERSION,
             "start": start_column(_AT_REST),
             "camera": env.camera_parameters(),
-            "tries": len(told["try_sequence"]),
-            "failed_tries": sum(failed for _, _, failed in told["try_sequence"]),
+            "tries": len(episode_record["try_sequence"]),
+            "failed_tries": sum(failed for _, _, failed in episode_record["try_sequence"]),
             "slot": number,
             "attempt": 0,
             "attempts": 1,

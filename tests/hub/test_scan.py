@@ -141,7 +141,7 @@ def test_it_is_found_wherever_it_hides(tmp_path: Path, name: str, refuses: Refus
         '{"a":"b\\n"}',
         "Wandas",
         "the root of data",
-        "outputs/data/x, ./data/x, ~/data/x, $HOME/work/x, ${HOME}/work/x, **/data/*, </data/>, and/or, (x)/opt/y",
+        "outputs/data/x, ./data/x, ~/data/x, $HOME/some/x, ${HOME}/some/x, **/data/*, </data/>, and/or, (x)/opt/y",
         '{"device": "/dev/video0", "driver": "/usr/share/vulkan/icd.d/x.json", "proc": "/proc/self/fd"}',
         "revision 0123456789abcdef0123456789abcdef01234567, sha256 " + "0123456789abcdef" * 4,
         '{"pad_token": "<pad>", "token": null, "password": null, "api_key": "", "keys": ["state"], "private": false}',
