@@ -106,6 +106,8 @@ class TurnToOpenExpert:
         self.style, self.part, self.hand = style, part, hand
         self.direction = 1
         self.farthest = max(abs(hand.at(style.key)), hand.belief.farthest(style.key))
+        self.blocked = hand.belief.blocked_at(style.final, style.key)
+        """Largest angle of the key [rad] at which a try to open was blocked; -1 for none."""
         self.slips = 0
         """Tries with a slipped hand since the latest grasp."""
         self.at_end = hand.belief.stopped(style.key, FOLLOWED * style.step)
@@ -135,16 +137,18 @@ class TurnToOpenExpert:
         self.direction = int(np.sign(self.angle)) if turned else known or drawn
         yield from self._hold()
         may = rng.random() < (style.p_open if turned else style.p_open_first) or self.is_free
-        # No try where an earlier one has failed.
-        may = may and abs(self.angle) > self.hand.belief.blocked_at(style.final, style.key) + FOLLOWED * style.step / 2
         ajar = self.hand.is_ajar(self.part, style.final)
-        if (ajar or (may and abs(self.angle) >= style.not_before)) and (yield from self._try_to_open()):
+        if (ajar or (may and self._is_new_angle())) and (yield from self._try_to_open()):
             return
         for _ in range(MAX_MOTIONS):
             followed = yield from self._turn()
             may = followed and abs(self.angle) >= style.not_before and rng.random() < style.p_open
-            if (self.is_free or may) and (yield from self._try_to_open()):
+            if (self.is_free or (may and self._is_new_angle())) and (yield from self._try_to_open()):
                 return
+
+    def _is_new_angle(self) -> bool:
+        """Returns whether a try is allowed at this angle, and none was blocked at it or farther."""
+        return abs(self.angle) >= max(self.style.not_before, self.blocked + FOLLOWED * self.style.step / 2)
 
     def static(self, direction: int, turn_range: float) -> KeyFrames:
         """Turns in the true direction, just far enough, and opens."""
@@ -199,6 +203,7 @@ class TurnToOpenExpert:
     def _try_to_open(self) -> Attempt:
         """Tries to open, up to ``hand.trials`` times while it is blocked. Returns True once it is open."""
         hand, style = self.hand, self.style
+        self.blocked = max(self.blocked, abs(self.angle))
         for _ in range(hand.trials):
             opening = yield from hand.open(self.part, style.final, style.opening)
             if opening is Opening.DONE:

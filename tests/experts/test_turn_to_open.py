@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -12,9 +13,11 @@ from hypothesis import strategies as st
 from kinematic import TURNED_TO_OPEN, Episode, KinematicWorld, Move, adaptive, cached_object, object_names, run, static
 
 from lerobot_adamanip.catalog import seen_objects
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-from lerobot_adamanip.experts import EXPERTS, Phase
+from lerobot_adamanip.experts import EXPERTS, Feedback, Goal, Phase
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
+from lerobot_adamanip.objects import PartAnnotation
 
 fast = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 2**31 - 1)
@@ -218,3 +221,31 @@ def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(
         assert all(episode.phases[k + 1] is Phase.RELEASE for k in lost)
         assert episode.phases.count(Phase.GRASP) == 1 + torn, "it is where it was felt last"
         assert episode.opened == pytest.approx(STYLES[category].opening[-1], rel=0.1)
+
+
+class SlippingGrip(KinematicWorld):
+    """A blocked pull leaves the hand 2 cm beside its grasp, so that the expert lets go and the lever springs back."""
+
+    def _move(self, part: PartAnnotation, goal: Goal, opening: float) -> Feedback:
+        felt = super()._move(part, goal, opening)
+        move = self.moves[-1]
+        if move is not None and move.joint == self.final and move.end == move.start:
+            axis = next(motion.axis for motion in part.motions if motion.joint == self.final)
+            felt = replace(felt, tcp_in_base=transform(0.02 * axis) @ felt.tcp_in_base)
+        return felt
+
+
+@pytest.mark.parametrize("category", SWUNG)
+def test_an_angle_at_which_a_pull_was_blocked_is_not_tried_again(category: str) -> None:
+    name = first_object(category)
+    for seed in range(60):
+        world = SlippingGrip(name, hidden(name, 1, 1.0))
+        episode = run(world, adaptive(world, seed))
+        tried, angle = [], 0.0
+        for move in episode.moves:
+            if move.joint == world.key:
+                angle = abs(move.end)
+            elif move.end == move.start:
+                tried.append(angle)
+        assert all(later > earlier for earlier, later in pairwise(tried))
+        assert max(world.successes)
