@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
-from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, AttemptCounts
+from lerobot_adamanip.datasets.episode import HIDDEN_STATE
+from lerobot_adamanip.datasets.manifest import AttemptCounts
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 

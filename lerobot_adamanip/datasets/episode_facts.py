@@ -6,17 +6,15 @@ import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import pyarrow.parquet as pq
-
 from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.conditions import Facts, Value
-from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.json_fields import parse
 
 
-def episode_facts(source: Source) -> list[Facts]:
+def episode_facts(source: Dataset) -> list[Facts]:
     """Returns each episode's values, by name.
 
     These are the scalar columns of ``meta/episodes`` and derived values: ``category`` and ``object_split`` (seen,
@@ -24,7 +22,7 @@ def episode_facts(source: Source) -> list[Facts]:
     a successful one), and its hidden state, for example ``hidden.locked``.
     """
     counted = _counted(source)
-    lengths, tasks = (source.episodes[name].to_pylist() for name in ("length", "tasks"))
+    lengths, tasks = (source.table[name].to_pylist() for name in ("length", "tasks"))
     facts: list[dict[str, Value | None]] = []
     for number, row in enumerate(source.own_columns.to_pylist()):
         plain = {name: value for name, value in row.items() if isinstance(value, bool | int | float | str)}
@@ -62,12 +60,12 @@ def _hidden(text: Any) -> dict[str, Value | None]:
     return {f"hidden.{name}": value for name, value in found.items() if isinstance(value, bool | int | float | str)}
 
 
-def _counted(source: Source) -> list[dict[str, Value | None]]:
+def _counted(source: Dataset) -> list[dict[str, Value | None]]:
     """Returns values counted from each episode's rows; empty if the columns of tries are missing."""
     wanted = ["episode_index", schema.TRIED, schema.FAILED, schema.DONE]
-    if not set(wanted) <= set(source.info["features"]):
-        return [{} for _ in range(source.info["total_episodes"])]
-    rows = pq.read_table(sorted((source.root / "data").glob("*/*.parquet")), columns=wanted).to_pandas()
+    if not set(wanted) <= set(source.features):
+        return [{} for _ in range(len(source))]
+    rows = source.column_table(wanted).to_pandas()
     return [
         {
             "key_frames": int((~mine[schema.DONE]).sum()),

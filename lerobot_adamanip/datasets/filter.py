@@ -7,10 +7,10 @@ from pathlib import Path
 
 from lerobot_adamanip.datasets.compose import Progress, compose
 from lerobot_adamanip.datasets.conditions import choose
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.episode_facts import episode_facts
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id
-from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.util import files
 
 
@@ -39,12 +39,12 @@ def filter_episodes(
     """
     require_repo_id(repo_id)
     if out is None:
-        return choose(conditions, episode_facts(Source.open(root)))
+        return choose(conditions, episode_facts(Dataset(root, recordings=True)))
     with owned_output(out, WRITING) as output:
         output.require_free()
-        source = Source.open(root)
+        source = Dataset(root, recordings=True)
         chosen = choose(conditions, episode_facts(source))
-        output.require_room(files.tree_bytes(source.root) * len(chosen) // source.info["total_episodes"])
+        output.require_room(files.tree_bytes(source.root) * len(chosen) // len(source))
         built, name = output.fresh("dataset"), output.root.name
         words = [word for condition in conditions for word in ("--where", condition)]
         selection = source.selection.of(chosen, ["adamanip", "filter", "DATASET", *words, "--out", name])

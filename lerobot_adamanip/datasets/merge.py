@@ -11,11 +11,10 @@ from typing import Any
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.compose import Pieces, Progress, compose
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
-from lerobot_adamanip.datasets.reading import load_check, workspace_of
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import Selection
-from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse
@@ -79,9 +78,9 @@ def merge_into(
     folder: Path, roots: Sequence[Path], repo_id: str, progress: Progress = lambda done, total: None
 ) -> Merged:
     """Merges like `merge`, into a new folder that belongs to the caller."""
-    sources = [Source.open(root) for root in roots]
+    sources = [Dataset(root, recordings=True) for root in roots]
     _require_equal_features(sources)
-    one_workspace(roots)
+    one_workspace(sources)
     _require_each_once(sources)
     pieces, selection = _in_order(sources)
     compose(folder, pieces, repo_id, selection, progress)
@@ -92,9 +91,9 @@ def merge_into(
     return Merged(len(pieces), selection is not None, whole, mixed_versions(map(parse, texts)))
 
 
-def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
+def _in_order(sources: Sequence[Dataset]) -> tuple[Pieces, Selection | None]:
     """Returns the episodes in their new order, and the dataset that they are all a part of, if any."""
-    pieces = [(source, episode) for source in sources for episode in range(source.info["total_episodes"])]
+    pieces = [(source, episode) for source in sources for episode in range(len(source))]
     if len({(each.selection.source, each.selection.source_episodes) for each in sources}) > 1:
         return pieces, None
     known = [index for source in sources for index in source.selection.episodes]
@@ -104,7 +103,7 @@ def _in_order(sources: Sequence[Source]) -> tuple[Pieces, Selection | None]:
     return [pieces[place] for place in order], selection
 
 
-def _require_each_once(sources: Sequence[Source]) -> None:
+def _require_each_once(sources: Sequence[Dataset]) -> None:
     """Raises `DatasetError` if two sources hold the same episode."""
     known = Counter((each.selection.source, index) for each in sources for index in each.selection.episodes)
     if twice := sorted(index for (_, index), count in known.items() if count > 1):
@@ -116,7 +115,7 @@ def _require_each_once(sources: Sequence[Source]) -> None:
         )
 
 
-def _require_equal_features(sources: Sequence[Source]) -> None:
+def _require_equal_features(sources: Sequence[Dataset]) -> None:
     first = _features(sources[0].info)
     for source in sources[1:]:
         features = _features(source.info)
@@ -135,14 +134,14 @@ def _features(info: dict[str, Any]) -> dict[str, Any]:
     return {**kinds, "fps": info["fps"]}
 
 
-def one_workspace(roots: Sequence[Path]) -> Workspace:
+def one_workspace(sources: Sequence[Dataset]) -> Workspace:
     """Returns the common workspace of all these datasets' clouds; raises `DatasetError` if they differ."""
-    found = {root: workspace_of(root, load_check(root, recordings=True)["features"]) for root in roots}
-    if len(set(found.values())) > 1:
+    boxes = [source.workspace for source in sources]
+    if len(set(boxes)) > 1:
         raise DatasetError(
             "The clouds of these datasets have different workspaces.",
-            got="; ".join(f"{root.name}: {box}" for root, box in found.items()),
+            got="; ".join(f"{source.root.name}: {box}" for source, box in zip(sources, boxes, strict=True)),
             allowed="one workspace for all",
             hint="leave one of them out",
         )
-    return found[roots[0]]
+    return boxes[0]

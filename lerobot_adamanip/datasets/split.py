@@ -12,9 +12,9 @@ import numpy as np
 
 from lerobot_adamanip.datasets.compose import Progress, compose
 from lerobot_adamanip.datasets.conditions import Facts, as_text
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.episode_facts import episode_facts
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
-from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -49,13 +49,13 @@ def split_episodes(
     """
     with owned_output(out, WRITING) as output:
         output.require_free()
-        source = Source.open(root)
+        source = Dataset(root, recordings=True)
         parts = assign(episode_facts(source), shares, by=by, seed=seed)
         output.require_room(files.tree_bytes(source.root))
         built = output.fresh("dataset")
         built.mkdir()
         command = [*_command(shares, by, seed), "--out", output.root.name]
-        before, total = 0, source.info["total_episodes"]
+        before, total = 0, len(source)
         for name, chosen in parts.items():
             pieces, selection = [(source, episode) for episode in chosen], source.selection.of(chosen, command)
             compose(built / name, pieces, f"local/{name}", selection, functools.partial(_tell, progress, before, total))

@@ -10,14 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 
 from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.datasets.attempts import attempts_path, by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
@@ -108,10 +107,10 @@ def read_stats(root: str | Path) -> DatasetStats:
     Raises:
         DatasetError: it is missing or half written, or the columns of its episodes are invalid.
     """
-    folder = Path(root).absolute()
-    info = load_check(folder)
+    dataset = Dataset(root)
+    folder = dataset.root
     try:
-        rows = _with_counts(episode_table(folder).to_pylist(), folder, info["features"])
+        rows = _with_counts(dataset)
         records = [_record(row) for row in rows]
         attempts = _attempts(folder)
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
@@ -192,14 +191,13 @@ def _record(row: Mapping[str, Any]) -> EpisodeRecord:
     )
 
 
-def _with_counts(
-    rows: Sequence[Mapping[str, Any]], folder: Path, features: Mapping[str, Any]
-) -> Sequence[Mapping[str, Any]]:
+def _with_counts(dataset: Dataset) -> Sequence[Mapping[str, Any]]:
     """Returns the columns of episodes; counts missing ``tries``, ``failed_tries`` and ``success`` from the rows."""
+    rows: Sequence[Mapping[str, Any]] = dataset.table.to_pylist()
     if all(row.get(name) is not None for row in rows for name in _COUNTS):
         return rows
-    wanted = {name: key for name, key in _COUNTS.items() if key in features}
-    table = pq.read_table(sorted((folder / "data").glob("*/*.parquet")), columns=["episode_index", *wanted.values()])
+    wanted = {name: key for name, key in _COUNTS.items() if key in dataset.features}
+    table = dataset.column_table(wanted.values())
     episodes = table["episode_index"].to_numpy()
     counts = {name: np.zeros(len(rows), int) for name in _COUNTS}
     for name, key in wanted.items():

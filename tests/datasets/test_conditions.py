@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.conditions import Facts, choose, parse_condition
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.episode_facts import episode_facts, recoveries
-from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.split import assign
 from lerobot_adamanip.util.errors import AdaManipError
 
@@ -77,7 +77,7 @@ def test_what_chooses_nothing_is_one_clear_error(text: str) -> None:
 
 
 def test_what_is_known_of_an_episode(finished: Path) -> None:
-    facts = episode_facts(Source.open(finished))
+    facts = episode_facts(Dataset(finished))
     rows = pq.read_table(sorted((finished / "data").glob("*/*.parquet"))).to_pandas()
     for number, each in enumerate(facts):
         mine = rows[rows["episode_index"] == number]

@@ -10,9 +10,8 @@ import pytest
 from doc_data import collect_fake_demos
 
 from lerobot_adamanip.cli.main import main
+from lerobot_adamanip.datasets.dataset import Dataset, read_back
 from lerobot_adamanip.datasets.episode_facts import episode_facts
-from lerobot_adamanip.datasets.reading import load_check, read_back
-from lerobot_adamanip.datasets.source import Source
 
 DOCUMENT = Path(__file__).resolve().parents[2] / "docs" / "datasets.md"
 
@@ -33,7 +32,7 @@ def test_commands_run_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     counts = {path.parent.parent.relative_to("outputs"): 0 for path in Path("outputs").rglob("meta/info.json")}
     for root in counts:
         read_back(Path("outputs") / root)
-        counts[root] = load_check(Path("outputs") / root)["total_episodes"]
+        counts[root] = len(Dataset(Path("outputs") / root))
     names = {str(root): count for root, count in counts.items()}
     assert names["again"] == names["demos"] == 6
     assert (names["parts/train"], names["parts/validation"]) == (5, 1)
@@ -44,7 +43,7 @@ def test_commands_run_in_order(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_names_in_the_table_are_known(finished: Path) -> None:
-    known = {name for each in episode_facts(Source.open(finished)) for name in each}
+    known = {name for each in episode_facts(Dataset(finished)) for name in each}
     table = [line.split("|")[1] for line in DOCUMENT.read_text(encoding="utf-8").splitlines() if line.startswith("| `")]
     said = {name for cell in table for name in re.findall(r"`([\w.]+)`", cell)}
     assert len(said) > 15

@@ -24,9 +24,9 @@ from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_templa
 from lerobot_adamanip.datasets.check.contract import OF_LEROBOT
 from lerobot_adamanip.datasets.collect_command import collect_command
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
-from lerobot_adamanip.datasets.reading import episode_records, read_info
-from lerobot_adamanip.datasets.selection import Selection, read_selection, selection_path
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.manifest import Manifest
+from lerobot_adamanip.datasets.selection import Selection, selection_path
 
 COLUMNS = {
     schema.POINT_CLOUD: "m; x, y, z of each point, farthest first, so any prefix is itself a farthest-point sample",
@@ -65,12 +65,12 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     Raises:
         DatasetError: the manifest or the list of attempts is damaged, or columns of a collection are missing.
     """
-    path = manifest_path(folder)
-    manifest = read_manifest(path, assets) if path.exists() else None
+    dataset = Dataset(folder)
+    manifest = dataset.manifest(assets) if manifest_path(folder).exists() else None
     attempts = read_attempts(attempts_path(folder)) if manifest is not None else []
-    records = episode_records(folder)
-    selection = read_selection(folder, len(records)) if selection_path(folder).exists() else None
-    info = read_info(folder)
+    records = [vars(description) for description in dataset.descriptions()]
+    selection = dataset.selection if selection_path(folder).exists() else None
+    info = dataset.info
     return card_template("dataset_card.md").substitute(
         _made(manifest, records, name.removesuffix("-failed"), selection),
         **_recorded(records),

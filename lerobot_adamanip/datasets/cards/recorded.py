@@ -10,7 +10,7 @@ from typing import Any
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.datasets.cards.collected import common_fields
 from lerobot_adamanip.datasets.cards.templates import card_template
-from lerobot_adamanip.datasets.reading import episode_table, read_info
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import parse
 
@@ -20,7 +20,7 @@ RECORDED = "recorded"
 
 def has_recorded_episodes(root: Path) -> bool:
     """Returns whether a dataset contains episodes of a robot."""
-    table = episode_table(root)
+    table = Dataset(root, recordings=True).table
     return RECORDED in table.column_names and table[RECORDED].null_count < len(table)
 
 
@@ -30,8 +30,8 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
     Raises:
         DatasetError: an episode has neither its recording nor its object.
     """
-    info = read_info(folder)
-    rows = episode_table(folder).to_pylist()
+    dataset = Dataset(folder)
+    rows = dataset.table.to_pylist()
     try:
         sources = Counter(map(_source, rows))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
@@ -42,7 +42,7 @@ def recorded_card(folder: Path, name: str, repo_id: str) -> str:
             hint="adamanip keyframes RECORDING --out DATASET",
         ) from error
     return card_template("recorded_card.md").substitute(
-        common_fields(info, name, repo_id, len(rows)),
+        common_fields(dataset.info, name, repo_id, len(rows)),
         successes=sum(bool(row.get("success")) for row in rows),
         sources="\n".join(f"| {count} | {source} |" for source, count in sources.items()),
     )

@@ -10,28 +10,23 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.assets import is_asset_id, parse_asset_id
-from lerobot_adamanip.catalog import category_of, parse_object_id
+from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.check.findings import Report, Rows
-from lerobot_adamanip.datasets.check.layout import ATTEMPTS, Layout
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec, episode_seed, manifest_path
-from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, Manifest, are_same_versions, read_manifest
-from lerobot_adamanip.datasets.reading import JSON_COLUMNS
-from lerobot_adamanip.datasets.start_column import read_start
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.episode import EpisodeDescription
+from lerobot_adamanip.datasets.manifest import Manifest, are_same_versions, read_manifest
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_adamanip.util.json_fields import flag, integer, mapping, optional, parse, read, text
+from lerobot_adamanip.util.json_fields import flag, integer, parse, read
 
-COLLECTION = "meta/collection.json"
+COLLECTION, ATTEMPTS = "meta/collection.json", "meta/attempts.jsonl"
 Row = Mapping[str, Any]
 """Column values of an episode."""
-_ANY = text(r"(?s).*", "text")
-_VALUES = mapping(_ANY, lambda _, value: value, 64)
 _COUNT = integer(0, 2**31)
-_SEED = integer(0, 2**63 - 1)
 
 
 @dataclass(frozen=True)
@@ -96,19 +91,18 @@ def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Repor
         report.add_rows("label", f"{schema.TRIAL} does not count failed tries up from 0", where, wrong)
 
 
-def has_facts(layout: Layout) -> bool:
+def has_facts(dataset: Dataset) -> bool:
     """Returns whether the dataset has this project's episode columns."""
-    return {"object_id", "tries"} <= set(layout.table.column_names)
+    return {"object_id", "tries"} <= set(dataset.table.column_names)
 
 
 def check_facts(
-    layout: Layout, collected: Collected | None, counted: Mapping[int, Mapping[str, int]], report: Report
+    dataset: Dataset, collected: Collected | None, counted: Mapping[int, Mapping[str, int]], report: Report
 ) -> None:
     """Checks the columns of episodes for valid values, against counts of the rows, and against the collection."""
-    if not has_facts(layout):
+    if not has_facts(dataset):
         return
-    names = [name for name in layout.table.column_names if not name.startswith("stats/")]
-    rows = layout.table.select(names).to_pylist()
+    rows = dataset.table.to_pylist()
     for row in rows:
         if row["object_id"] is None and row.get("recorded") is not None:
             continue  # an episode of a robot in a mixed dataset: no object, no seed
@@ -127,36 +121,23 @@ def check_facts(
             continue
         if collected is not None:
             _check_place(row, collected, report)
-    _check_once(layout, rows, report)
+    _check_once(dataset, rows, report)
     if collected is not None:
-        _check_attempts(layout.root, collected, report)
+        _check_attempts(dataset.root, collected, report)
 
 
 def _check_row(row: Row) -> None:
     """Raises ValueError for invalid values."""
-    object_id = text(r".{1,120}", "an object's id")("object_id", row["object_id"])
-    (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
-    _SEED("seed", row.get("seed"))
-    flag("success", row.get("success"))
-    if _COUNT("failed_tries", row.get("failed_tries")) > _COUNT("tries", row.get("tries")):
-        raise ValueError(f"failed_tries = {row['failed_tries']} of tries = {row['tries']}")
-    parsed = {name: parse(_ANY(name, row[name])) for name in JSON_COLUMNS if name in row}
-    HIDDEN_STATE("hidden_state", parsed["hidden_state"])
-    optional(HIDDEN_STATE)("hidden_overrides", parsed.get("hidden_overrides"))
-    if "start" in row:
-        actions = read_start(_ANY("start", row["start"]))
-        if "late" in row and flag("late", row["late"]) != bool(len(actions)):
-            raise ValueError(f"late is {row['late']}, but start tells of {len(actions)} actions")
-    told = _VALUES("episode_record", parsed.get("episode_record", {}))
-    if "try_sequence" in told:
-        failed = [fails for _, _, fails in told["try_sequence"]]
-        if (row["tries"], row["failed_tries"]) != (len(failed), sum(failed)):
-            counts = f"{row['failed_tries']} of {row['tries']} tries failed"
+    episode = EpisodeDescription.from_columns(row, partial=True)
+    record = episode.episode_record
+    if "try_sequence" in record:
+        failed = [fails for _, _, fails in record["try_sequence"]]
+        if (episode.tries, episode.failed_tries) != (len(failed), sum(failed)):
+            counts = f"{episode.failed_tries} of {episode.tries} tries failed"
             raise ValueError(f"{counts}, but episode_record says {sum(failed)} of {len(failed)}")
-    own = {"object_id": object_id, "seed": row["seed"], "hidden_state": parsed["hidden_state"]}
-    for name, value in own.items():
-        if name in told and told[name] != value:
-            raise ValueError(f"{name} is {value!r:.60}, but episode_record says {told[name]!r:.60}")
+    for name in ("object_id", "seed", "hidden_state"):
+        if name in record and record[name] != (value := getattr(episode, name)):
+            raise ValueError(f"{name} is {value!r:.60}, but episode_record says {record[name]!r:.60}")
 
 
 def _check_place(row: Row, collected: Collected, report: Report) -> None:
@@ -176,10 +157,10 @@ def _check_place(row: Row, collected: Collected, report: Report) -> None:
         report.add("collection", f"seed {row['seed']} does not follow from its place in the collection", *place)
 
 
-def _check_once(layout: Layout, rows: Sequence[Row], report: Report) -> None:
+def _check_once(dataset: Dataset, rows: Sequence[Row], report: Report) -> None:
     """Reports duplicate episodes, from a collection or a seed that was merged with itself."""
-    name = f"stats/{schema.ACTION}/mean"
-    means = layout.table[name].to_pylist() if name in layout.table.column_names else [None] * len(rows)
+    name, stored = f"stats/{schema.ACTION}/mean", dataset.statistics
+    means = stored[name].to_pylist() if name in stored.column_names else [None] * len(rows)
     seen: dict[tuple[object, ...], int] = {}
     for row, mean in zip(rows, means, strict=True):
         number = row["episode_index"]

@@ -10,8 +10,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from lerobot_adamanip.datasets.check.findings import Report, Rows, first_line
-from lerobot_adamanip.datasets.check.layout import Episode, Layout
+from lerobot_adamanip.datasets.check.findings import Report, Rows
+from lerobot_adamanip.datasets.dataset import Dataset, Episode
+from lerobot_adamanip.datasets.opening import first_line
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import listed
 
@@ -19,9 +20,10 @@ PLACE = ("index", "episode_index", "frame_index", "timestamp", "task_index")
 """Columns that LeRobot adds to every dataset."""
 
 
-def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Report) -> tuple[Rows, pa.Table] | None:
+def read_rows(dataset: Dataset, name: str, episodes: Sequence[Episode], report: Report) -> tuple[Rows, pa.Table] | None:
     """Reads a data file; returns None, with findings, if its rows cannot be assigned to its episodes."""
-    path, first = layout.root / name, episodes[0].number
+    path, first = dataset.root / name, episodes[0].number
+    keys = [key for key in dataset.features if key not in dataset.keys_of("video")]
     if not path.is_file():
         report.add("missing", "rows of this and the following episodes in this file", name, first)
         return None
@@ -30,15 +32,15 @@ def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Re
     except (OSError, pa.ArrowException) as error:
         report.add("unreadable", first_line(error), name, first)
         return None
-    if absent := [key for key in layout.data_keys if key not in file.schema_arrow.names]:
+    if absent := [key for key in keys if key not in file.schema_arrow.names]:
         report.add("schema", f"the file has no column {listed(absent)}", name, first)
         return None
     numbers = np.repeat([each.number for each in episodes], [each.length for each in episodes])
     where = _counted(name, numbers)
     try:
-        table = file.read(layout.data_keys)
+        table = file.read(keys)
     except (OSError, pa.ArrowException):
-        _report_unreadable(file, where, layout.data_keys, report)
+        _report_unreadable(file, where, keys, report)
         return None
     places = {key: numeric_array(table[key]) if len(table) else None for key in PLACE}
     told = {key: values for key, values in places.items() if values is not None}
@@ -48,7 +50,7 @@ def read_rows(layout: Layout, name: str, episodes: Sequence[Episode], report: Re
     if len(where) != len(table):
         where = _counted(name, told["episode_index"])
         _check_lengths(where, episodes, report)
-    _check_places(layout, where, told, episodes, report)
+    _check_places(dataset, where, told, episodes, report)
     return where, table
 
 
@@ -86,7 +88,7 @@ def _check_lengths(where: Rows, episodes: Sequence[Episode], report: Report) -> 
 
 
 def _check_places(
-    layout: Layout, where: Rows, told: dict[str, NDArray[Any]], episodes: Sequence[Episode], report: Report
+    dataset: Dataset, where: Rows, told: dict[str, NDArray[Any]], episodes: Sequence[Episode], report: Report
 ) -> None:
     starts = {episode.number: episode.start for episode in episodes}
     known = np.isin(where.episodes, list(starts)) & ~np.isin(where.episodes, list(report.damaged))
@@ -94,11 +96,11 @@ def _check_places(
     expected = {"episode_index": where.episodes, "frame_index": where.frames, "index": first + where.frames}
     for key, values in expected.items():
         report.add_rows("index", f"{key} is not consecutive", where, known & (told[key] != values))
-    off = np.abs(told["timestamp"].astype(np.float64) - where.frames / layout.fps) > 1e-4
-    report.add_rows("timestamp", f"timestamp is not frame_index / {layout.fps}", where, known & off)
-    for episode in episodes if layout.tasks else ():
+    off = np.abs(told["timestamp"].astype(np.float64) - where.frames / dataset.fps) > 1e-4
+    report.add_rows("timestamp", f"timestamp is not frame_index / {dataset.fps}", where, known & off)
+    for episode in episodes if dataset.tasks else ():
         mine = known & (where.episodes == episode.number)
         for task in np.unique(told["task_index"][mine]).tolist():
-            if layout.tasks.get(task) not in episode.tasks:
+            if dataset.tasks.get(task) not in episode.tasks:
                 wrong = mine & (told["task_index"] == task)
                 report.add_rows("task", f"task_index {task} is not a task of the episode", where, wrong)

@@ -15,11 +15,9 @@ from lerobot_adamanip.catalog import is_asset_id, make_object
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import as_points
-from lerobot_adamanip.datasets.reading import load_check, open_dataset
-from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.mechanisms import make_mechanism
-from lerobot_adamanip.util.arrow import numeric_array
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.json_fields import parse
 
 Array = NDArray[np.float32]
@@ -78,18 +76,12 @@ def read_episode(root: Path, number: int, *, images: bool = False) -> ViewedEpis
         DatasetError: the dataset is missing, half written or damaged.
         ConfigurationError: it has no such episode.
     """
-    source = Source(root.absolute(), load_check(root))
-    total = source.info["total_episodes"]
-    if not 0 <= number < total:
-        raise ConfigurationError("No such episode.", got=number, allowed=f"0 to {total - 1}", hint="--episode 0")
-    row = source.row(number)
-    table = source.rows(row)
-    arrays = {name: numeric_array(table[name]) for name in table.column_names}
-    columns = {name: values for name, values in arrays.items() if values is not None}
-    length = len(table)
+    dataset = Dataset(root)
+    episode = dataset.episode(number)
+    row, columns, length = episode.row, dataset.columns(episode), episode.length
     sent = length - 1 if columns.get(schema.DONE, [False])[-1] else length
     tries = tuple(_tries(columns, sent, _joint_names(row.get("object_id"))))
-    has_images = schema.FRONT_IMAGE in source.info["features"]
+    has_images = schema.FRONT_IMAGE in dataset.features
     return ViewedEpisode(
         title=_title(number, row, tries),
         clouds=as_points(columns[schema.POINT_CLOUD]).astype(np.float32),
