@@ -16,7 +16,7 @@ from lerobot_adamanip.collection.assemble import append_shards
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.datasets.dataset import Dataset, read_back
-from lerobot_adamanip.datasets.merge import merge_into, one_workspace
+from lerobot_adamanip.datasets.editing import merge_into, one_workspace
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id

@@ -16,7 +16,7 @@ from demos_helpers import InThisProcess, dies_at, fakes, make_spec, patiently, s
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.filter import filter_episodes
+from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, RENDERING, lock_path
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util import files, jobs

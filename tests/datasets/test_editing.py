@@ -17,10 +17,8 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cutting
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.video import write_video
 

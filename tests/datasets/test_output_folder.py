@@ -22,12 +22,10 @@ from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets import output_folder
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, WORK_FOLDERS, lock_output, lock_path, owned_output
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.datasets.selection import selection_path
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 

@@ -16,11 +16,9 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.datasets.statistics import QUANTILES, cloud_statistics
 
 STATS = Path("meta/stats.json")

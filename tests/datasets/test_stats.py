@@ -15,7 +15,7 @@ from sound_demos import collect_sound
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.groups import Group
 from lerobot_adamanip.util.errors import DatasetError
