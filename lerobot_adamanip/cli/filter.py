@@ -38,7 +38,7 @@ class Filter:
 
     def run(self) -> int:
         """Selects and writes episodes. Returns 0 for a complete dataset."""
-        from lerobot_adamanip.datasets.filter import filter_episodes
+        from lerobot_adamanip.datasets.editing import filter_episodes
 
         with show_progress({"filter": "episodes written"}) as progress:
             advance = functools.partial(progress, "filter")

@@ -32,7 +32,7 @@ class Merge:
 
     def run(self) -> int:
         """Merges datasets. Returns 0 for a complete dataset."""
-        from lerobot_adamanip.datasets.merge import merge
+        from lerobot_adamanip.datasets.editing import merge
 
         with show_progress({"merge": "episodes written"}) as progress:
             merged = merge(self.roots, self.out, repo_id=self.repo_id, progress=functools.partial(progress, "merge"))

@@ -40,7 +40,7 @@ class Split:
     def run(self) -> int:
         """Splits and writes. Returns 0 when all datasets are complete."""
         shares = self._shares()
-        from lerobot_adamanip.datasets.split import split_episodes
+        from lerobot_adamanip.datasets.editing import split_episodes
 
         with show_progress({"split": "episodes written"}) as progress:
             advance = functools.partial(progress, "split")
