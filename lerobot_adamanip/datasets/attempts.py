@@ -67,7 +67,8 @@ def all_attempts(
 
 
 def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
-    facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
+    facts = {key: record[key] for key in ("seed", "hidden_state", "late")}
+    facts["key_frames"] = record["episode_record"]["key_frames"]
     return {**facts, "reason": SUCCESS if record["success"] else "corrected without success"}
 
 
