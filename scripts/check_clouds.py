@@ -26,6 +26,7 @@ from check_common import count, header, parser, run_seeds
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrames
+from lerobot_adamanip.contract.schema import PAPER_NUM_POINTS
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import UnreachableError
 
@@ -65,14 +66,14 @@ class Counts:
 
 def compare(task: Any) -> Counts:
     """Compares both views of a task, created with ``cloud_source="render"``, at its current state."""
-    from lerobot_env_adamanip.sim.camera import pinhole, points_in_world
+    from lerobot_env_adamanip.sim.raycast import pinhole, points_in_world
 
-    camera = pinhole(task.views.camera(task.views.depth_size, "front"))
+    camera = pinhole(task.cameras.cloud_config)
     rendered, cast = _rendered(task), _cast(task, 0.0, 0.0)
 
     def inside(millimetres: NDArray[np.float32]) -> NDArray[np.bool_]:
         points = points_in_world(millimetres * np.float32(1e-3), camera.pose)
-        seen: NDArray[np.bool_] = task.views.workspace.contains(points) & (millimetres[:, 2] < -1)
+        seen: NDArray[np.bool_] = task.options.workspace.contains(points) & (millimetres[:, 2] < -1)
         return seen
 
     seen = inside(rendered) | inside(cast)
@@ -95,18 +96,17 @@ def _beside() -> Iterator[tuple[float, float]]:
 
 def _rendered(task: Any) -> NDArray[np.float32]:
     """Returns the renderer's points (H * W, 3), camera frame [mm]; 0 for pixels without a point."""
-    task.views.points()
-    return np.asarray(task.views.depth_scene.texture("position").reshape(-1, 3), np.float32)
+    task.cameras.points()
+    return np.asarray(task.cameras.depth_scene.texture("position").reshape(-1, 3), np.float32)
 
 
 def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
     """Returns the rays' points, with each ray shifted by an offset [px]; otherwise like `_rendered`."""
-    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
+    from lerobot_env_adamanip.sim.raycast import RaycastSensor
 
-    views = task.views
-    camera = views.camera(views.depth_size, "front")
-    pixels, points = RaycastSensor(camera, views.bodies(), views.workspace, (right, down)).pixels()
-    image = np.zeros((views.depth_size**2, 3), np.float32)
+    camera, bodies = task.cameras.cloud_config, task.cameras.bodies()
+    pixels, points = RaycastSensor(camera, bodies, task.options.workspace, (right, down)).pixels()
+    image = np.zeros((camera.width**2, 3), np.float32)
     image[pixels] = points
     return image
 
@@ -133,7 +133,7 @@ def check(category: str, seeds: list[int], every: int) -> list[Counts]:
     from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
-    task, found = make_task(category, cloud_source="render"), []
+    task, found = make_task(category, cloud_source="render", num_points=PAPER_NUM_POINTS), []
     try:
         for seed in seeds:
             try:

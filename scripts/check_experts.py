@@ -66,13 +66,13 @@ class BlindEnvironment:
     @property
     def feedback(self) -> Any:
         """Feedback of the latest key frame."""
-        return self._task.feedback
+        return self._task.driver.feedback
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Drives the arm to one key frame. The episode continues after success."""
         self._task.execute(action)
         self._count += 1
-        if not self.opened_after and self._task.succeeded():
+        if not self.opened_after and self._task.simulation.succeeded():
             self.opened_after = self._count
         return {}, 0.0, False, False, {"is_success": bool(self.opened_after)}
 
@@ -100,7 +100,7 @@ def _run(task: Any, episode: Episode) -> Episode:
         task.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})
     except UnreachableError as error:
         return replace(episode, placed=False, reason=str(error).splitlines()[0])
-    hidden, env = task.hidden_state(), BlindEnvironment(task, MAX_KEY_FRAMES)
+    hidden, env = task.simulation.hidden_state(), BlindEnvironment(task, MAX_KEY_FRAMES)
     expert = make_expert(
         episode.category,
         episode.kind,
@@ -108,10 +108,10 @@ def _run(task: Any, episode: Episode) -> Episode:
         generator=np.random.default_rng(episode.seed),
         hidden=hidden if episode.kind == "static" else None,
         mechanism_rules=episode.mechanism_rules,
-        feedback=task.feedback,
+        feedback=task.driver.feedback,
     )
     result = rollout(env, {}, expert)  # type: ignore[arg-type]
-    where = {name: round(position, 3) for name, position in task.joint_positions().items()}
+    where = {name: round(position, 3) for name, position in task.simulation.joint_positions().items()}
     reason = "" if result.success else f"{result.reason}; joints {where}"
     return replace(episode, success=result.success, key_frames=env.opened_after, hidden=hidden, reason=reason)
 

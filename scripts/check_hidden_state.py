@@ -61,8 +61,7 @@ def frames_until_held(
         frames.append(_frame(task))
         goal = expert.send(felt)
     if look:
-        seen = task.observe(image=image)
-        frames[-1].update(cloud=seen.points_in_base, **({"image": seen.images["front"]} if image else {}))
+        frames[-1].update(cloud=task.cameras.points(), **({"image": task.cameras.image()} if image else {}))
     return frames
 
 
@@ -73,18 +72,18 @@ def frames_until_tried(task: Any, seed: int, hidden: dict[str, Any]) -> list[Fra
     for _ in range(PLAIN_STEPS):
         here = task.agent.tcp.pose.p[0].cpu().numpy()
         info = task.step(np.array([*np.clip(2 * (goal - here), -1, 1), 0, 0, 0, 1], np.float32))[-1]
-        if task.tries.tries:
+        if task.simulation.tries.tries:
             break
         frames.append({**_frame(task), "info": np.array(sorted(map(str, info.items())))})
     return frames
 
 
 def _frame(task: Any) -> Frame:
-    arm, robot, target = task.arm_state(), task.agent.robot._objs[0], task._objects.articulation._objs[0]
+    arm, robot, target = task.simulation.arm_state(), task.agent.robot._objs[0], task._objects.articulation._objs[0]
     return {
-        "state": state_vector(task.feedback, arm.qpos, arm.qvel),
-        "effort": np.asarray(task.effort, np.float32),
-        "outcome": np.array(-1 if task.feedback.outcome is None else int(task.feedback.outcome)),
+        "state": state_vector(task.driver.feedback, arm.qpos, arm.qvel),
+        "effort": np.asarray(task.driver.effort, np.float32),
+        "outcome": np.array(-1 if task.driver.feedback.outcome is None else int(task.driver.feedback.outcome)),
         "arm positions": np.array(robot.get_qpos()),
         "arm velocities": np.array(robot.get_qvel()),
         "object positions": np.array(target.get_qpos()),

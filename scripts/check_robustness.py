@@ -76,8 +76,14 @@ def through(env: Any, seed: int) -> list[str]:
 
 
 def _broken(env: Any, felt: Any) -> Iterator[str]:
-    arm = env.arm_state()
-    numbers = (felt.tcp_in_base, arm.qpos, arm.qvel, env.effort, np.array(list(env.joint_positions().values())))
+    arm = env.simulation.arm_state()
+    numbers = (
+        felt.tcp_in_base,
+        arm.qpos,
+        arm.qvel,
+        env.driver.effort,
+        np.array(list(env.simulation.joint_positions().values())),
+    )
     if not all(np.isfinite(each).all() for each in numbers):
         yield "not finite"
         return
@@ -85,12 +91,12 @@ def _broken(env: Any, felt: Any) -> Iterator[str]:
         yield f"the hand is at {felt.tcp_in_base[:3, 3]}"
     if np.abs(arm.qvel).max() > MAX_JOINT_SPEED:
         yield f"a joint of the arm moves at {np.abs(arm.qvel).max():.1f} rad/s"
-    positions = env.joint_positions()
+    positions = env.simulation.joint_positions()
     for name, position in positions.items():
-        lower, upper = env.obj.joint(name).limits
+        lower, upper = env.simulation.obj.joint(name).limits
         if not lower - SLACK <= position <= upper + SLACK:
             yield f"{name} is at {position:.3f}, limits {lower:.3f} ... {upper:.3f}"
-    beyond = any(abs(positions[name]) > goal for name, goal in env.mechanism.goals.items())
+    beyond = any(abs(positions[name]) > goal for name, goal in env.simulation.mechanism.goals.items())
     if env.evaluate()["success"].item() != beyond:
         yield "success disagrees with the mechanism"
 

@@ -58,7 +58,7 @@ def random_hand(task: Any, rng: np.random.Generator) -> tuple[str, list[NDArray[
     """Returns the kind of a hand, and its three key frames: before a part, at it, and a random motion from there."""
     parts, place = list(task.placement.annotations.values()), str(rng.choice(list(PLACES)))
     part, (shift, turn) = parts[rng.integers(len(parts))], PLACES[place]
-    grasp = part.moved(task.joint_positions()) @ _random(rng, shift, turn)
+    grasp = part.moved(task.simulation.joint_positions()) @ _random(rng, shift, turn)
     first, second = rng.choice(GRIPPERS, 2)
     gripper = f"{_name(first)} to {_name(second)}"
     poses = (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp, grasp @ _random(rng, WAY, TURN))
@@ -78,26 +78,33 @@ def play(task: Any, seed: int, hidden: dict[str, Any], result: Result) -> tuple[
     """Runs the hands of a scene; returns all frames, and the number of those before the first try."""
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     rng, frames, untold = np.random.default_rng(seed), [_frame(task)], 1
-    start, names, kinds = task.joint_positions(), task.mechanism.joints, task.tries.kinds
+    start, names, kinds = (
+        task.simulation.joint_positions(),
+        task.simulation.mechanism.joints,
+        task.simulation.tries.kinds,
+    )
     for _ in range(HANDS):
         kind, actions = random_hand(task, rng)
         result.hands += 1
         for action in actions:
-            known, before = [made.ticks for made in task.tries.tries], task.joint_positions()
+            known, before = [made.ticks for made in task.simulation.tries.tries], task.simulation.joint_positions()
             task.execute(action)
             frames.append(_frame(task))
-            tried = {names[made.joint] for made in task.tries.tries}
-            result.tries[kind] += len(task.tries.tries) - len(known)
-            positions, pairs = task.joint_positions(), zip_longest(task.tries.tries, known, fillvalue=0)
+            tried = {names[made.joint] for made in task.simulation.tries.tries}
+            result.tries[kind] += len(task.simulation.tries.tries) - len(known)
+            positions, pairs = (
+                task.simulation.joint_positions(),
+                zip_longest(task.simulation.tries.tries, known, fillvalue=0),
+            )
             now = {names[made.joint] for made, ticks in pairs if made.ticks > ticks}
             moved = {name for name in names if abs(positions[name] - before[name]) > MIN_JOINT_MOTION["revolute"]}
             result.own_motions += len(moved - now)
             for name in set(names) - tried:
                 if abs(positions[name] - start[name]) > MAX_GIVING_SHARE * MIN_JOINT_MOTION[kinds[name]]:
                     result.wrong.append(f"{name} moved by {positions[name] - start[name]:.3g} without a try; {kind}")
-                if name not in task.mechanism_driver.held:
+                if name not in task.simulation.held:
                     result.wrong.append(f"{name} was released without a try; {kind}")
-        untold = len(frames) if not task.tries.tries else untold
+        untold = len(frames) if not task.simulation.tries.tries else untold
     return frames, untold
 
 

@@ -11,6 +11,8 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import Goal
+from lerobot_adamanip.episode.rollout import next_goal
 from lerobot_adamanip.experts import make_expert
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -30,27 +32,17 @@ def episode(category: str) -> list[Image.Image]:
     name, seed = SHOWN[category]
     env = KeyframeEnv(category, objects=name, image_size=RENDERED, num_points=64, observe_images=False, split="test")
     env.reset(seed=seed)
-    sim = env._running()
     taken: list[Image.Image] = []
-    ticks, advance = 0, sim._tick
-
-    def watched(*command: Any) -> None:
-        nonlocal ticks
-        advance(*command)
-        if ticks % TICKS_A_FRAME == 0:
-            view = Image.fromarray(sim.views.image()).crop(CROP)
-            taken.append(view.resize((SIDE, SIDE), Image.Resampling.LANCZOS))
-        ticks += 1
-
-    sim._arm._tick_simulation = watched
     expert = make_expert(category, "adaptive", env.annotations, generator=np.random.default_rng(seed))
-    goal, ended, truncated = next(expert), False, False
-    while not (ended or truncated):
-        *_, ended, truncated, _ = env.step(goal.action())
-        if not (ended or truncated):
-            goal = expert.send(env.feedback)
+    goal: Goal | None = next(expert)
+    while goal is not None and env.episode.end is None:
+        for _ in env.motion(goal.action()):
+            if env.episode.task.simulation.ticks % TICKS_A_FRAME == 1:
+                view = Image.fromarray(env.episode.task.cameras.image()).crop(CROP)
+                taken.append(view.resize((SIDE, SIDE), Image.Resampling.LANCZOS))
+        goal = next_goal(expert, env.feedback)
+    assert env.episode.success, category
     env.close()
-    assert ended, category
     return [taken[k] for k in np.linspace(0, len(taken) - 1, FRAMES - HOLD).round().astype(int)] + HOLD * taken[-1:]
 
 

@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.contract.cameras import CAMERAS
@@ -61,12 +60,6 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
         picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
         spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(CAMERAS, picture))
     return gym.spaces.Dict(spaces)
-
-
-def clipped(values: NDArray[np.float32], space: gym.Space[Any]) -> NDArray[np.float32]:
-    """Returns values within a box: a simulated collision may tell any effort."""
-    assert isinstance(space, gym.spaces.Box)
-    return np.clip(values, space.low, space.high)
 
 
 def reset_options(environment: EnvironmentOptions, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,24 +13,24 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
+from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.keyframes import Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
-from lerobot_adamanip.contract.pointcloud import depth_size
 from lerobot_adamanip.contract.schema import FPS
-from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
+from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
-from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
-from lerobot_adamanip.evaluation.log import new_run_id
+from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
+from lerobot_adamanip.episode.tries import KeyFrameLabeler
+from lerobot_adamanip.evaluation.log import append_record, new_run_id
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice
-from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor
 from lerobot_env_adamanip.gym_interface import (
     RENDER_MODE,
     action_space,
-    clipped,
     environment_spec,
     observation_space,
     reset_options,
@@ -44,6 +45,123 @@ Observation = dict[str, Any]
 SCENE_TRIES = 4
 """Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed."""
 _logger = logging.getLogger(__name__)
+
+
+class EpisodeLog:
+    """Log of one environment, which numbers the evaluations of a run.
+
+    ``lerobot-train`` evaluates the same scenes repeatedly; a repeated episode marks the next evaluation.
+
+    Args:
+        path: log file; other environments may append to it too.
+        seeds: half-open range of given seeds to log; None for all. The last batch of an evaluation runs surplus
+            episodes, which LeRobot does not count.
+    """
+
+    def __init__(self, path: Path, seeds: tuple[int, int] | None = None) -> None:
+        self.path, self._seeds = path, None if seeds is None else range(*seeds)
+        self._evaluation = 0
+        self._logged: set[tuple[object, ...]] = set()
+
+    def append(self, record: EpisodeRecord) -> None:
+        """Appends an ended episode, unless its given seed is outside the range."""
+        if self._seeds is not None and record.given_seed not in self._seeds:
+            return
+        if record.identity in self._logged:
+            self._evaluation += 1
+            self._logged.clear()
+        self._logged.add(record.identity)
+        provenance = replace(record.provenance, evaluation=self._evaluation)
+        append_record(self.path, replace(record, provenance=provenance))
+
+
+class Episode:
+    """Labels, limits and record of one episode, right after a reset of its task; they never enter an observation.
+
+    Args:
+        task: the ManiSkill task of the episode, with its simulation.
+        options: options of the environment.
+        provenance: run and versions of the record.
+        log: log of the environment, if it has one.
+        seed, given_seed: seed of the scene, and of the evaluation.
+
+    Attributes:
+        success: whether a joint has been beyond its goal at the end of a key frame.
+        end: the record, from the end of the episode on; later key frames do not change it.
+        limit: the limit that has ended the episode, `TIME_LIMIT` or `TOO_MANY_TRIES`; otherwise empty.
+    """
+
+    def __init__(
+        self,
+        task: AdaManipTask,
+        options: EnvironmentOptions,
+        provenance: Provenance,
+        log: EpisodeLog | None,
+        *,
+        seed: int,
+        given_seed: int,
+    ) -> None:
+        self.task, self._options, self._provenance, self._log = task, options, provenance, log
+        self._seed, self._given_seed = seed, given_seed
+        self._hidden = task.simulation.hidden_state()
+        limit = options.max_failed_tries
+        _, worst = best_tries(task.category, options.mechanism_rules, self._hidden)
+        self._max_failed_tries = None if limit is None else worst if limit == BEST else int(limit)
+        self._labeler = KeyFrameLabeler(task.simulation.tries)
+        self.key_frames = self.clipped_goals = 0
+        self.success, self.limit = False, ""
+        self.end: EpisodeRecord | None = None
+
+    @property
+    def labels(self) -> KeyFrameLabels:
+        """Labels of the latest key frame."""
+        return self._labeler.labels
+
+    def after_key_frame(self) -> None:
+        """Counts and labels a finished key frame; ends the episode at success or at a limit."""
+        simulation, driver = self.task.simulation, self.task.driver
+        self.key_frames += 1
+        self.clipped_goals += driver.feedback.is_clipped
+        self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
+        failed, allowed = simulation.tries.failed_tries, self._max_failed_tries
+        limit = TIME_LIMIT if self.key_frames >= self._options.max_key_frames else ""
+        limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
+        self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES
+        if self.end is None and (self.success or limit):
+            self.end_by("" if self.success else limit)
+
+    def end_by(self, limit: str) -> None:
+        """Ends the episode by a limit, or by success if the limit is empty, and logs it."""
+        self.limit, self.end = limit, self.record()
+        if self._log is not None:
+            self._log.append(self.end)
+
+    def result(self) -> tuple[bool, bool]:
+        """Returns whether the episode has ended with success, and whether it was truncated."""
+        success = self.end is not None and self.end.success
+        return success, self.end is not None and not success
+
+    def record(self) -> EpisodeRecord:
+        """Returns the record of the episode so far."""
+        simulation = self.task.simulation
+        object_id = simulation.obj.object_id
+        return EpisodeRecord(
+            seed=self._seed,
+            given_seed=self._given_seed,
+            split=split_of(self._seed),
+            object_id=object_id,
+            object_split=object_split(object_id),
+            hidden_state=self._hidden,
+            success=self.success,
+            key_frames=self.key_frames,
+            clipped_goals=self.clipped_goals,
+            max_key_frames=self._options.max_key_frames,
+            max_failed_tries=self._max_failed_tries,
+            poses=self._options.poses,
+            try_sequence=tuple((item.joint, item.direction, item.failed) for item in simulation.tries.tries),
+            joints=simulation.joint_positions(),
+            provenance=self._provenance,
+        )
 
 
 class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
@@ -93,12 +211,15 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.task = self.task_description = CATEGORIES[self.category].instruction
         self.render_mode = render_mode
         self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
-        self._sim: AdaManipTask | None = None
-        self._monitor: EpisodeMonitor | None = None
-        self._record: EpisodeRecord | None = None
-        self._seeds: dict[str, int] = {}
-        self._limit = ""
-        self._episode_log, self._provenance = _log_of(self.options)
+        self._task: AdaManipTask | None = None
+        self._episode: Episode | None = None
+        log = None if self.options.episode_log is None else Path(self.options.episode_log)
+        self._log = None if log is None else EpisodeLog(log, self.options.logged_seeds)
+        run_id = None if log is None else self.options.run_id or new_run_id()  # without a log, of no evaluation
+        rules, label = self.options.mechanism_rules, self.options.run_label
+        self._provenance = Provenance(
+            SIMULATION_VERSION, __version__, rules, run_id, label, versions=installed_versions()
+        )
         self._image: NDArray[np.uint8] | None = None
         self._renders = True
         self.action_space = action_space()
@@ -121,79 +242,93 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             ConfigurationError: the option, object or hidden value does not exist.
             UnreachableError: the arm cannot reach the part in any of the scenes.
         """
-        self._monitor = self._record = self._image = None  # after a failed reset there is no episode
-        self._limit = ""
+        self._episode = self._image = None  # after a failed reset there is no episode
         chosen = reset_options(self.options, options or {})
         super().reset(seed=seed)
-        given = seed if seed is not None else int(self.np_random.integers(2**31))
-        wanted = scene_seed(given + self.options.seed_offset, self.options.split)
-        sim = self._started()
-        drawn = self._placed(sim, wanted, chosen)
-        self._seeds = {"seed": drawn, "given_seed": given}
-        self.restart_episode()
-        return self.observe(), self._info(False)
+        given_seed = seed if seed is not None else int(self.np_random.integers(2**31))
+        if self._task is None:
+            # Three quarters of the time of ManiSkill's default shader, without a GPU.
+            self._task = make_task(self.category, options=self.options, shader="minimal")
+        scene = scene_seed(given_seed + self.options.seed_offset, self.options.split)
+        self._seeds = {"seed": self._load_scene(self._task, scene, chosen), "given_seed": given_seed}
+        self._start_episode(self._task)
+        return self.observe(), self._info()
+
+    def _load_scene(self, task: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
+        """Resets the simulator to a reachable scene; returns its seed."""
+        first, attempt = seed, 0
+        is_one_object = "object_id" in chosen or len(task.object_ids) == 1
+        while True:
+            try:
+                task.reset(seed=seed, options={"reconfigure": True, **chosen})
+                return seed
+            except UnreachableError as error:
+                attempt += 1
+                if attempt == SCENE_TRIES or (error.is_certain and is_one_object):
+                    raise
+                seed = retried_seed(first, self.options.split, attempt)
+                _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
+
+    def _start_episode(self, task: AdaManipTask) -> None:
+        self._episode = Episode(task, self.options, self._provenance, self._log, **self._seeds)
 
     def restart_episode(self) -> None:
         """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
-        sim = self._sim
-        assert sim is not None
-        sim.restart_tries()
-        self._record = None
-        self._monitor = EpisodeMonitor(sim, **self._seeds, provenance=self._provenance, options=self.options)
+        task = self.episode.task
+        task.simulation.restart_tries()
+        self._start_episode(task)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
-        had_succeeded = self._episode().success
+        had_succeeded = self.episode.success
         success, truncated = self.drive(action)
-        reward = float(success and not had_succeeded)
-        return self.observe(), reward, success, truncated, self._info(success)
+        return self.observe(), float(success and not had_succeeded), success, truncated, self._info()
+
+    def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
+        """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
+        for _ in self.motion(action):
+            pass
+        return self.episode.result()
+
+    def motion(self, action: NDArray[np.float32]) -> Generator[None]:
+        """Runs `drive`; yields after each control tick. Closing it aborts the key frame, which then does not count."""
+        episode = self.episode
+        yield from episode.task.driver.motion(np.asarray(action))
+        self._image = None
+        episode.after_key_frame()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
 
         An episode that has ended keeps its result.
         """
-        if self._record is None:
-            self._end(self._episode(), limit)
-        success, truncated = self._result()
-        return self.observe(), 0.0, success, truncated, self._info(success)
+        if self.episode.end is None:
+            self.episode.end_by(limit)
+        success, truncated = self.episode.result()
+        return self.observe(), 0.0, success, truncated, self._info()
 
-    def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
-        sim, monitor = self._running(), self._episode()
-        sim.execute(np.asarray(action))
-        self._image = None
-        monitor.after_key_frame()
-        if self._record is None and (monitor.success or monitor.limit is not None):
-            self._end(monitor, "" if monitor.success else str(monitor.limit))
-        return self._result()
-
-    def _end(self, monitor: EpisodeMonitor, limit: str) -> None:
-        """Fixes the record of the episode and logs it."""
-        self._limit, self._record = limit, monitor.record()
-        if self._episode_log is not None:
-            self._episode_log.append(self._record)
-
-    def _result(self) -> tuple[bool, bool]:
-        """Returns whether the episode has succeeded, and whether it was truncated."""
-        success = self._record is not None and self._record.success
-        return success, self._record is not None and not success
-
-    def _info(self, success: bool) -> dict[str, Any]:
+    def _info(self) -> dict[str, Any]:
         """Returns the info of a reset or step: always the same keys."""
-        return {"is_success": success, "limit": self._limit, "goal_clipped": self._running().feedback.is_clipped}
+        episode = self.episode
+        is_clipped = episode.task.driver.feedback.is_clipped
+        return {"is_success": episode.result()[0], "limit": episode.limit, "goal_clipped": is_clipped}
 
     def observe(self) -> Observation:
         """Returns the present observation."""
-        seen = self._running().observe(image=bool(self.options.observe_images))
-        self._image = seen.images.get(FRONT)
+        task = self.episode.task
         spaces: Any = self.observation_space
+        points = task.cameras.points()
+        images = {name: task.cameras.image(name) for name in (CAMERAS if self.options.observe_images else ())}
+        self._image = images.get(FRONT)
+        arm = task.simulation.arm_state()
         observation: Observation = {
-            "agent_pos": clipped(state_vector(seen.feedback, seen.qpos, seen.qvel), spaces["agent_pos"]),
-            "effort": clipped(seen.effort.astype(np.float32), spaces["effort"]),
-            "point_cloud": workspace_cloud(seen.points_in_base, self.workspace, self.num_points),
+            "agent_pos": state_vector(task.driver.feedback, arm.qpos, arm.qvel),
+            "effort": task.driver.effort.astype(np.float32),
         }
-        return {**observation, "pixels": seen.images} if seen.images else observation
+        for key, values in observation.items():  # a simulated collision may tell any effort
+            observation[key] = np.clip(values, spaces[key].low, spaces[key].high)
+        observation["point_cloud"] = workspace_cloud(points, self.workspace, self.num_points)
+        return {**observation, "pixels": images} if images else observation
 
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
@@ -202,26 +337,33 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         size = self.options.image_size
         if self._image is None:
-            self._image = np.zeros((size, size, 3), np.uint8) if self._monitor is None else self._picture()
+            self._image = np.zeros((size, size, 3), np.uint8) if self._episode is None else self._picture()
         return self._image.copy()
 
     def _picture(self) -> NDArray[np.uint8]:
-        sim = self._running()
+        cameras = self.episode.task.cameras
         if self._renders:
             try:
-                return sim.views.image()
+                return cameras.image()
             except SimulatorError as error:
                 self._renders = False
                 _logger.warning("Videos show shapes without colours: %s", str(error).split("\n")[0])
-        return sim.views.shaded_image()
+        return cameras.shaded_image()
 
     def close(self) -> None:
         """Ends the simulator."""
-        if self._sim is not None:
-            self._sim.close()
-            self._sim = self._monitor = self._record = None
+        if self._task is not None:
+            self._task.close()
+            self._task = self._episode = None
 
     # For experts, recorders and reports: `lerobot_adamanip.episode.rollout` -----------------------------------------
+
+    @property
+    def episode(self) -> Episode:
+        """Running episode, with its ManiSkill task. Privileged."""
+        if self._episode is None:
+            raise gym.error.ResetNeeded("No episode is running: call reset() first.")
+        return self._episode
 
     @property
     def max_key_frames(self) -> int:
@@ -231,39 +373,39 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     @property
     def feedback(self) -> Feedback:
         """Feedback of the latest key frame."""
-        return self._running().feedback
+        return self.episode.task.driver.feedback
 
     @property
     def labels(self) -> KeyFrameLabels:
         """Labels of the latest key frame; not for policies or experts."""
-        return self._episode().labels
+        return self.episode.labels
 
     @property
     def annotations(self) -> dict[str, PartAnnotation]:
         """Annotated part poses at the episode's start, robot base frame."""
-        return self._running().placement.annotations
+        return self.episode.task.placement.annotations
 
     def part_positions(self) -> dict[str, float]:
         """Returns the object's present joint positions [rad or m]."""
-        return self._running().joint_positions()
+        return self.episode.task.simulation.joint_positions()
 
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names of the object's joints in the order of `labels`: the opening joint first."""
-        return self._running().mechanism.joints
+        return self.episode.task.simulation.mechanism.joints
 
     def joints(self) -> NDArray[np.float32]:
         """Returns the positions of all joints, (13,), see `schema.JOINT_NAMES`; for records."""
-        return self._running().views.joints()
+        return self.episode.task.simulation.joints()
 
     def pictures_at(self, joints: NDArray[np.float32]) -> dict[str, NDArray[np.uint8]]:
         """Returns each camera's image (H, W, 3) with all joints at ``joints`` (13,), at rest; raises `SimulatorError`.
 
         The episode cannot continue afterwards.
         """
-        views = self._running().views
-        views.set_joints(joints)
-        return {name: views.image(name) for name in CAMERAS}
+        task = self.episode.task
+        task.simulation.set_joints(joints)
+        return {name: task.cameras.image(name) for name in CAMERAS}
 
     def software_versions(self) -> dict[str, str]:
         """Returns `lerobot_adamanip.contract.versions.software_versions` and the ``renderer``, by name.
@@ -274,59 +416,12 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden state, for the static expert and records only."""
-        return self._running().hidden_state()
+        return self.episode.task.simulation.hidden_state()
 
     def episode_record(self) -> dict[str, Any]:
         """Returns the record of the episode up to its end, JSON-serialisable; see `EpisodeRecord`."""
-        return (self._record or self._episode().record()).to_json()
+        return (self.episode.end or self.episode.record()).to_json()
 
     def camera_parameters(self) -> dict[str, Any]:
-        """Returns the front camera's calibration, JSON-serialisable; see `sim.camera.camera_parameters`."""
-        return self._running().views.camera_parameters()
-
-    # Inside -----------------------------------------------------------------------------------------------------
-
-    def _started(self) -> AdaManipTask:
-        if self._sim is None:
-            shared = ("objects", "assets", "poses", "mechanism_rules", "image_size", "cloud_source", "workspace")
-            self._sim = make_task(
-                self.category,
-                **{name: getattr(self.options, name) for name in (*shared, "render_backend")},
-                hidden_overrides=dict(self.options.hidden_overrides),
-                depth_size=depth_size(self.num_points),
-                shader="minimal",  # three quarters of the time of ManiSkill's default, without a GPU
-            )
-        return self._sim
-
-    def _placed(self, sim: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
-        """Resets the simulator to a reachable scene; returns its seed."""
-        first, attempt = seed, 0
-        is_one_object = "object_id" in chosen or len(sim.object_ids) == 1
-        while True:
-            try:
-                sim.reset(seed=seed, options={"reconfigure": True, **chosen})
-                return seed
-            except UnreachableError as error:
-                attempt += 1
-                if attempt == SCENE_TRIES or (error.is_certain and is_one_object):
-                    raise
-                seed = retried_seed(first, self.options.split, attempt)
-                _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
-
-    def _episode(self) -> EpisodeMonitor:
-        if self._monitor is None:
-            raise gym.error.ResetNeeded("No episode is running: call reset() first.")
-        return self._monitor
-
-    def _running(self) -> AdaManipTask:
-        self._episode()
-        assert self._sim is not None
-        return self._sim
-
-
-def _log_of(options: EnvironmentOptions) -> tuple[EpisodeLog | None, Provenance]:
-    """Returns an environment's log and its episodes' provenance. Without a log they belong to no evaluation."""
-    log = None if options.episode_log is None else EpisodeLog(Path(options.episode_log), options.logged_seeds)
-    run_id = None if log is None else options.run_id or new_run_id()
-    made = Provenance(SIMULATION_VERSION, __version__, options.mechanism_rules, run_id, options.run_label)
-    return log, replace(made, versions=installed_versions())
+        """Returns the front camera's calibration, JSON-serialisable; see `sim.raycast.camera_parameters`."""
+        return self.episode.task.cameras.parameters()

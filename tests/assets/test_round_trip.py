@@ -49,8 +49,8 @@ def test_an_expert_opens_an_object_of_others_as_it_was_proposed(tmp_path: Path, 
     env = make_task(category, assets=str(tmp_path), objects="all")
     try:
         env.reset(seed=5_000_000, options={"reconfigure": True})
-        assert env.obj.object_id == f"{category}:x1"
-        generator, hidden = np.random.default_rng(0), env.hidden_state()
+        assert env.simulation.obj.object_id == f"{category}:x1"
+        generator, hidden = np.random.default_rng(0), env.simulation.hidden_state()
         expert = make_expert(category, "static", env.placement.annotations, generator=generator, hidden=hidden)
         goal = next(expert)
         for _ in range(MAX_KEY_FRAMES):

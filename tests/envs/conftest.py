@@ -31,7 +31,9 @@ def tasks(envs: Callable[[str], KeyframeEnv]) -> Callable[[str], Any]:
     """Returns a category's ManiSkill task, that of its environment."""
 
     def get(category: str) -> Any:
-        task = envs(category)._started()
+        env = envs(category)
+        env.reset(seed=0)  # starts the simulator
+        task = env.episode.task
         task.holds_joints = True
         return task
 

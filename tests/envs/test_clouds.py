@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import check_clouds
@@ -18,7 +19,7 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, PAPER_NUM_POINTS
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim import renderer
-from lerobot_env_adamanip.sim.ray_camera import Body
+from lerobot_env_adamanip.sim.raycast import Body
 from lerobot_env_adamanip.simulator import make_task
 
 pytestmark = pytest.mark.sim
@@ -26,7 +27,7 @@ pytestmark = pytest.mark.sim
 
 @pytest.fixture(scope="module")
 def task() -> Iterator[Any]:
-    made = make_task("coffee_maker", cloud_source="render")
+    made = make_task("coffee_maker", cloud_source="render", num_points=PAPER_NUM_POINTS)
     yield made
     made.close()
 
@@ -60,7 +61,7 @@ def test_pictures_are_those_of_plain_maniskill(task: Any, monkeypatch: pytest.Mo
     monkeypatch.undo()
     assert renderer._unlit_pack() is not None, "this SAPIEN's shaders are written as we expect"
     task.reset(seed=311)
-    seen, picture = wanted.any(2), task.observe().images["front"].astype(float)
+    seen, picture = wanted.any(2), task.cameras.image().astype(float)
     assert picture.std() > 10.0
     assert seen.mean() > 0.8
     assert np.abs(picture - wanted)[seen].mean() < 3.0
@@ -69,12 +70,12 @@ def test_pictures_are_those_of_plain_maniskill(task: Any, monkeypatch: pytest.Mo
 def test_resting_links_are_seen_as_if_they_were_cast_anew(envs: Callable[[str], KeyframeEnv]) -> None:
     env = envs("lamp")
     env.reset(seed=5)
-    views = env._running().views
-    first = views.points()
-    views.set_joints(views.joints() + np.float32(0.02))
-    moved = views.points()
-    del views.rays
-    np.testing.assert_array_equal(moved, views.points())
+    cameras, simulation = env.episode.task.cameras, env.episode.task.simulation
+    first = cameras.points()
+    simulation.set_joints(simulation.joints() + np.float32(0.02))
+    moved = cameras.points()
+    del cameras.rays
+    np.testing.assert_array_equal(moved, cameras.points())
     assert first.shape != moved.shape or not np.array_equal(first, moved)
 
 
@@ -114,17 +115,16 @@ def test_without_a_vulkan_device_clouds_are_the_same_and_videos_are_shaded(envs:
 def test_no_point_of_a_cloud_comes_twice(envs: Callable[[str], KeyframeEnv], category: str) -> None:
     env = envs(category)
     env.reset(seed=7)
-    views = env._running().views
+    cameras = env.episode.task.cameras
     for wanted in (DEFAULT_NUM_POINTS, PAPER_NUM_POINTS):
+        sized = replace(cameras, options=cameras.options.changed(num_points=wanted))
         with warnings.catch_warnings():
             warnings.simplefilter("error", RepeatedPointsWarning)
-            cloud = workspace_cloud(views.points(), DEFAULT_WORKSPACE, wanted)
+            cloud = workspace_cloud(sized.points(), DEFAULT_WORKSPACE, wanted)
         assert cloud.shape == (wanted, 3)
         assert DEFAULT_WORKSPACE.contains(cloud).all()
         # Two neighbouring pixels may round to one point, to a hundredth of a millimetre, once in thousands.
         assert len(np.unique(cloud, axis=0)) >= 0.995 * wanted
-        vars(views).pop("rays")
-        views.depth_size = 320  # as the paper's clouds have it
 
 
 def test_missing_points_are_repeated_and_told() -> None:

@@ -20,20 +20,24 @@ from lerobot_adamanip.contract.rotations import (
     transform,
 )
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.sim.keyframe_driver import FINGER_OPEN, ArmState, KeyframeDriver
-from lerobot_env_adamanip.sim.kinematics import ArmKinematics, IKResult, pose_error
+from lerobot_env_adamanip.sim.arm_driver import FINGER_OPEN, ArmDriver
+from lerobot_env_adamanip.sim.kinematics import IKResult, pose_error
+from lerobot_env_adamanip.sim.simulation import ArmState, Simulation
 
 START = np.array([0.5, 0.0, 0.7, 0.0, 0.0, 0.0, 0.0])
 STIFFNESS = np.full(7, 500.0)
 
 
 class Gantry:
-    """Joints are x, y, z [m] and a rotation vector [rad]; a wall stops x, and what is held stops the fingers."""
+    """Simulation and kinematics of a gantry.
+
+    Joints are x, y, z [m] and a rotation vector [rad]; a wall stops x, and what is held stops the fingers.
+    """
 
     def __init__(self, wall: float = np.inf, held: float = 0.0, reach: float = np.inf) -> None:
         self.wall, self.held, self.reach = wall, held, reach
         self.qpos, self.qvel, self.fingers = START.copy(), np.zeros(7), np.full(2, FINGER_OPEN)
-        self.ticks = 0
+        self.ticks, self.kinematics = 0, self
 
     def tcp_in_base(self, qpos: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return transform(qpos[:3], Rotation.from_rotvec(qpos[3:6]).as_matrix())
@@ -51,7 +55,7 @@ class Gantry:
     def canonical(self, goal: Any) -> IKResult:
         return self.solve(goal, START)
 
-    def read(self) -> ArmState:
+    def arm_state(self) -> ArmState:
         return ArmState(self.qpos.copy(), self.qvel.copy(), self.fingers.copy())
 
     def tick(self, target: Any, velocity: Any, finger: float) -> None:
@@ -60,15 +64,9 @@ class Gantry:
         self.qvel = (self.qpos - before) / 0.02
         self.fingers = np.clip(self.fingers + np.clip(finger - self.fingers, -0.005, 0.005), self.held, FINGER_OPEN)
 
-    def driver(self, **limits: Any) -> KeyframeDriver:
-        return KeyframeDriver(
-            cast(ArmKinematics, self),
-            self.read,
-            self.tick,
-            control_dt=0.02,
-            stiffness=STIFFNESS,
-            limits=MotionLimits(**limits),
-        )
+    def driver(self, **limits: Any) -> ArmDriver:
+        simulation, motion = cast(Simulation, self), MotionLimits(**limits)
+        return ArmDriver(simulation, control_dt=0.02, stiffness=STIFFNESS, limits=motion)
 
 
 def goal(x: float = 0.5, y: float = 0.0, z: float = 0.7, turn: float = 0.0, gripper: float = 1.0) -> Any:

@@ -21,7 +21,7 @@ from lerobot_adamanip.evaluation.groups import first_episodes
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_env_adamanip import vector
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig, AdaManipSuiteEnvConfig
-from lerobot_env_adamanip.episode_log import EpisodeLog
+from lerobot_env_adamanip.keyframe_env import EpisodeLog
 
 
 class OneStep(gym.Env[Any, Any]):

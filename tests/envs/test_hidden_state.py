@@ -60,16 +60,16 @@ def test_trying_tells(task: Any, category: str) -> None:
         goal = next(expert)
         while goal.phase in (Phase.APPROACH, Phase.GRASP):
             goal = expert.send(task.execute(goal.action()))
-        assert not task.tries.tries
+        assert not task.simulation.tries.tries
         ends.append(task.execute(goal.action()))
-        assert task.tries.tries
+        assert task.simulation.tries.tries
     assert any(np.abs(ends[0].tcp_in_base - other.tcp_in_base).max() > 2e-3 for other in ends[1:])
 
 
 @pytest.mark.parametrize("category", ["microwave"])
 def test_a_joint_is_released_by_a_try_alone(task: Any, category: str) -> None:
     task.reset(seed=5, options={"hidden_overrides": {"locked": True}, "reconfigure": True})
-    button, driver = task.placement.annotations["button"], task.mechanism_driver
+    button, driver = task.placement.annotations["button"], task.simulation
 
     def go(distance: float, gripper: float) -> None:
         task.execute(Goal(button.grasp @ transform((0.0, 0.0, distance)), gripper, Phase.APPROACH).action())
@@ -77,13 +77,13 @@ def test_a_joint_is_released_by_a_try_alone(task: Any, category: str) -> None:
     go(-PRE_GRASP, 1.0)
     for distance, gripper in ((-0.03, 1.0), (-0.03, 0.0), (-0.05, 0.0)):  # on the way, closing, closed in free air
         go(distance, gripper)
-        assert not task.tries.tries
+        assert not task.simulation.tries.tries
         assert driver.held == {"door", "button"}
     go(0.03, 0.0)
-    assert [task.mechanism.joints[made.joint] for made in task.tries.tries] == ["button"]
+    assert [task.simulation.mechanism.joints[made.joint] for made in task.simulation.tries.tries] == ["button"]
     assert "door" in driver.held
-    assert task.joint_positions()["button"] > 0.7 * task.obj.joint("button").limits[1]
-    assert task.joint_positions()["door"] == pytest.approx(0.0, abs=1e-3)
+    assert task.simulation.joint_positions()["button"] > 0.7 * task.simulation.obj.joint("button").limits[1]
+    assert task.simulation.joint_positions()["door"] == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize("category", ["door"])
@@ -103,7 +103,7 @@ def test_plain_maniskill_control_hides_too(task: Any, category: str) -> None:
                 observation, *_, info = env.step(rng.uniform(-1, 1, env.action_space.shape))
             assert set(info) <= {"success", "elapsed_steps"}
             plain: Any = env.unwrapped
-            ends.append((np.asarray(observation), tuple(plain.joint_positions().values())))
+            ends.append((np.asarray(observation), tuple(plain.simulation.joint_positions().values())))
             env.close()
         assert ends[0][0].tobytes() == ends[1][0].tobytes()
         assert ends[0][1] == ends[1][1]

@@ -15,8 +15,7 @@ from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.experts import Phase
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
-from lerobot_env_adamanip.episode_log import EpisodeLog
-from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.keyframe_env import EpisodeLog, KeyframeEnv
 
 pytestmark = pytest.mark.sim
 
@@ -125,7 +124,6 @@ FRESH = """
 import json, sys
 sys.path.insert(0, {folder!r})
 from envs_helpers import SMALL, expert_episode
-from lerobot_env_adamanip.episode_log import EpisodeLog
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 env = KeyframeEnv("safe", max_key_frames=30, **SMALL)
 print(json.dumps(expert_episode(env, 11, hidden_overrides={{"locked": True}})[0]))
@@ -161,7 +159,7 @@ def test_unseeded_resets_differ_and_follow_from_the_seed_before(env: KeyframeEnv
 
 def test_each_ended_episode_is_logged_once(env: KeyframeEnv, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "logs" / "episodes.jsonl"
-    monkeypatch.setattr(env, "_episode_log", EpisodeLog(path))
+    monkeypatch.setattr(env, "_log", EpisodeLog(path))
     expert_episode(env, 5, hidden_overrides={"locked": False})
     env.step(stay(env))  # stepping on after the end is no second episode
     env.reset(seed=6)
@@ -212,7 +210,7 @@ def test_out_of_reach_another_scene_of_the_seed_is_drawn(
     env: KeyframeEnv, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     env.reset(seed=1)
-    task = env._started()
+    task = env.episode.task
     real, asked = task.reset, []
 
     def reset(seed: int, options: dict[str, Any]) -> Any:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -11,8 +12,9 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import MotionLimits, Outcome
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
-from lerobot_env_adamanip.sim.keyframe_driver import ArmState, KeyframeDriver
+from lerobot_env_adamanip.sim.arm_driver import ArmDriver
 from lerobot_env_adamanip.sim.kinematics import LEVEL_REST, ArmKinematics, joint_path
+from lerobot_env_adamanip.sim.simulation import ArmState, Simulation
 
 pytestmark = pytest.mark.sim
 LOST = (4, 11, 20)
@@ -39,14 +41,11 @@ class Arm:
     """Is at once where it is sent."""
 
     def __init__(self, kinematics: ArmKinematics) -> None:
-        self.qpos, self.fastest = LEVEL_REST.copy(), 0.0
-        self.driver = KeyframeDriver(
-            kinematics,
-            lambda: ArmState(self.qpos.copy(), np.zeros(7), np.full(2, 0.04)),
-            self.tick,
-            control_dt=0.02,
-            stiffness=np.ones(7),
-        )
+        self.qpos, self.fastest, self.kinematics = LEVEL_REST.copy(), 0.0, kinematics
+        self.driver = ArmDriver(cast(Simulation, self), control_dt=0.02, stiffness=np.ones(7))
+
+    def arm_state(self) -> ArmState:
+        return ArmState(self.qpos.copy(), np.zeros(7), np.full(2, 0.04))
 
     def tick(self, target: NDArray[np.float64], velocity: NDArray[np.float64], finger: float) -> None:
         self.qpos = np.array(target)

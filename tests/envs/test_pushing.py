@@ -9,7 +9,7 @@ import pytest
 
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal, Phase
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_env_adamanip.sim.keyframe_driver import FINGER_CLOSED, FINGER_OPEN
+from lerobot_env_adamanip.sim.arm_driver import FINGER_CLOSED, FINGER_OPEN
 
 pytestmark = pytest.mark.sim
 TURNS = ({"direction": 1, "turn_range": 0.9}, {"direction": -1, "turn_range": 0.6})
@@ -38,12 +38,12 @@ def test_a_button_is_pushed_with_any_part_of_the_hand(
     at = task.placement.annotations["button"].grasp @ transform((0.0, beside, 0.0))
     go(task, at @ transform((0.0, 0.0, -PRE_GRASP)), 1.0)
     go(task, at @ transform((0.0, 0.0, -0.03)), gripper)
-    assert not task.tries.tries
+    assert not task.simulation.tries.tries
     go(task, at @ transform((0.0, 0.0, 0.03)), gripper)
-    (made,) = task.tries.tries
-    assert (task.mechanism.joints[made.joint], made.direction, made.failed) == ("button", 1, False)
-    assert task.joint_positions()["button"] > 0.8 * task.obj.joint("button").limits[1]
-    assert task.joint_positions()["door"] == pytest.approx(0.0, abs=1e-3)
+    (made,) = task.simulation.tries.tries
+    assert (task.simulation.mechanism.joints[made.joint], made.direction, made.failed) == ("button", 1, False)
+    assert task.simulation.joint_positions()["button"] > 0.8 * task.simulation.obj.joint("button").limits[1]
+    assert task.simulation.joint_positions()["door"] == pytest.approx(0.0, abs=1e-3)
 
 
 @pytest.mark.parametrize(("category", "part"), [("door", "lever"), ("window", "handle")])
@@ -57,10 +57,10 @@ def test_a_lever_is_turned_by_an_open_hand_and_by_one_that_closes_meanwhile(
     go(task, lever.grasp @ transform((0.0, 0.0, -PRE_GRASP)), 1.0)
     go(task, lever.grasp, 1.0)
     go(task, lever.grasp, grippers[0])
-    assert not task.tries.tries
+    assert not task.simulation.tries.tries
     go(task, turn.applied(lever.grasp, 0.3), grippers[1])
-    assert task.joint_positions()[part] > 0.1
-    assert {task.mechanism.joints[made.joint] for made in task.tries.tries} == {part}
+    assert task.simulation.joint_positions()[part] > 0.1
+    assert {task.simulation.mechanism.joints[made.joint] for made in task.simulation.tries.tries} == {part}
 
 
 @pytest.mark.parametrize(("category", "part"), [("door", "lever"), ("window", "handle")])
@@ -73,6 +73,8 @@ def test_an_approach_that_grazes_or_hits_a_part_moves_and_tells_nothing(task: An
                 grasp = task.placement.annotations[part].grasp
                 go(task, grasp @ transform((0.0, begins, -PRE_GRASP)), 1.0)
                 go(task, grasp @ transform((0.0, beside, 0.0)), 1.0)
-                assert not task.tries.tries
-                ends.append(np.concatenate([task.arm_state().qpos, list(task.joint_positions().values())]))
+                assert not task.simulation.tries.tries
+                ends.append(
+                    np.concatenate([task.simulation.arm_state().qpos, list(task.simulation.joint_positions().values())])
+                )
             assert ends[0].tobytes() == ends[1].tobytes()

@@ -15,8 +15,7 @@ from lerobot_adamanip.objects import Material, Shape
 from lerobot_env_adamanip import cloud_source
 from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import raycast
-from lerobot_env_adamanip.sim.camera import PinholeCamera
-from lerobot_env_adamanip.sim.raycast import LinkMesh, RayScene, link_mesh
+from lerobot_env_adamanip.sim.raycast import LinkMesh, PinholeCamera, RayScene, link_mesh
 from lerobot_env_adamanip.sim.triangles import box_triangles, shape_triangles
 
 SIZE = 48

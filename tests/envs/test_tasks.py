@@ -54,27 +54,30 @@ def test_a_lock_never_opens_by_force(env: Any, seed: int) -> None:
         felt = env.execute(Goal(pose, 0.0, Phase.TRY).action())
         assert np.isfinite(felt.tcp_in_base).all()
         assert np.isfinite(env.effort).all()
-        assert abs(np.degrees(env.joint_positions()["door"])) < 1.0
+        assert abs(np.degrees(env.simulation.joint_positions()["door"])) < 1.0
     assert not env.evaluate()["success"][0]
 
 
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_knob_turns_one_way_to_its_end_and_frees_the_door(env: Any, direction: int) -> None:
     reset(env, 43, locked=True, direction=direction)
-    limit, slack = env.hidden_state()["knob_range"], np.deg2rad(1.5)
-    assert limit <= env.obj.joint("knob").limits[1]
+    limit, slack = env.simulation.hidden_state()["knob_range"], np.deg2rad(1.5)
+    assert limit <= env.simulation.obj.joint("knob").limits[1]
     knob = grasp(env, "knob")
     blocked = env.execute(Goal(knob.moved({"knob": -direction * np.deg2rad(40)}), 0.0, Phase.UNLOCK).action())
     assert blocked.outcome is Outcome.STALLED
-    assert -slack < direction * env.joint_positions()["knob"] < slack
-    assert env.mechanism.step(env.mechanism_driver.state, env.joint_positions())[1]["door"] == (0.0, 0.0)
+    assert -slack < direction * env.simulation.joint_positions()["knob"] < slack
+    assert env.simulation.mechanism.step(env.simulation.state, env.simulation.joint_positions())[1]["door"] == (
+        0.0,
+        0.0,
+    )
     for turn in (40, 80, 120, 160):
         env.execute(Goal(knob.moved({"knob": direction * np.deg2rad(turn)}), 0.0, Phase.UNLOCK).action())
-        assert -slack < direction * env.joint_positions()["knob"] < limit + slack
-    assert direction * env.joint_positions()["knob"] > 0.85 * limit
-    assert env.mechanism.step(env.mechanism_driver.state, env.joint_positions())[1]["door"][1] == pytest.approx(
-        DOOR_UPPER
-    )
+        assert -slack < direction * env.simulation.joint_positions()["knob"] < limit + slack
+    assert direction * env.simulation.joint_positions()["knob"] > 0.85 * limit
+    assert env.simulation.mechanism.step(env.simulation.state, env.simulation.joint_positions())[1]["door"][
+        1
+    ] == pytest.approx(DOOR_UPPER)
 
 
 # Plain ManiSkill --------------------------------------------------------------------------------------------------

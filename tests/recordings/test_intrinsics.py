@@ -13,7 +13,7 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsic
 from lerobot_adamanip.hardware.depth_cloud import points_in_base
 from lerobot_adamanip.recordings.rows import camera_record, square_image
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.sim.camera import PinholeCamera, camera_parameters
+from lerobot_env_adamanip.sim.raycast import PinholeCamera, camera_parameters
 
 FIELD_OF_VIEW = np.radians(52)
 

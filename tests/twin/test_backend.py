@@ -10,20 +10,21 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim.cameras import Cameras, Pair
 from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend
-from lerobot_env_adamanip.sim.twin.camera import Pair, TwinEye
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions, frame_capacity
 
 pytestmark = pytest.mark.sim
 SEED, SIZE = 1000, 64
-LOCKED = EnvironmentOptions(category="microwave", observe_images=False, hidden_overrides={"locked": True})
+LOCKED = EnvironmentOptions(
+    category="microwave", image_size=SIZE, observe_images=False, hidden_overrides={"locked": True}
+)
 
 
 @pytest.fixture(scope="module")
@@ -67,10 +68,10 @@ def test_key_frames_are_those_of_the_environment_to_the_bit(twin: SapienBackend)
         for _ in range(8):  # past the pull at the locked door
             env.drive(goal.action())
             assert play_key_frame(twin, goal.action()) > 1
-            np.testing.assert_array_equal(twin._scene.joints(), env.joints())
+            np.testing.assert_array_equal(twin.env.joints(), env.joints())
             reading = twin.read()
             assert reading.outcome is env.feedback.outcome
-            np.testing.assert_array_equal(reading.effort, env._running().effort)
+            np.testing.assert_array_equal(reading.effort, env.episode.task.driver.effort)
             goal = expert.send(env.feedback)
         assert twin.episode({})["try_sequence"] == env.episode_record()["try_sequence"] == [[0, 1, True]]
     finally:
@@ -122,15 +123,14 @@ def test_a_pull_at_a_locked_door_stalls_under_bounded_strain(twin: SapienBackend
     goal = next(expert)
     for _ in range(3):  # before it, at it, closed
         play_key_frame(twin, goal.action())
-        goal = expert.send(twin._scene.feedback)
+        goal = expert.send(twin.env.feedback)
     pull = handle.moved({"door": 0.3})
     twin.stream(target(pull, 0.0, Execution.STREAM))
     for _ in range(150):
         twin.tick()
-    driver = twin._scene.driver
-    assert driver.stream_outcome is Outcome.STALLED
+    assert twin.env.episode.task.driver.stalled
     assert twin.read().effort.__abs__().max() > 2.0
-    assert abs(twin._scene.part_positions()["door"]) < 0.02
+    assert abs(twin.env.part_positions()["door"]) < 0.02
     assert not twin.episode({})["success"]
 
 
@@ -143,8 +143,7 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
     assert frame.number == number
     assert frame.color.shape == (SIZE, SIZE, 3)
     assert frame.depth.shape == (SIZE, SIZE)
-    rays = twin._scene.eye(SIZE, "raycast")
-    _, depth = rays.take()
+    _, depth = twin.env.episode.task.cameras.color_and_depth("raycast")
     both = (frame.depth > 0) & (depth > 0)
     assert both.mean() > 0.2
     apart = np.abs(frame.depth.astype(int) - depth.astype(int))[both]
@@ -154,13 +153,13 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
 def test_a_picture_is_as_old_as_its_own_making(
     twin: SapienBackend, boxes: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    begun, take = [], TwinEye.take
+    begun, take = [], Cameras.color_and_depth
 
-    def noted(eye: TwinEye) -> Pair:
+    def noted(cameras: Cameras, source: str) -> Pair:
         begun.append(time.perf_counter())
-        return take(eye)
+        return take(cameras, source)
 
-    monkeypatch.setattr(TwinEye, "take", noted)
+    monkeypatch.setattr(Cameras, "color_and_depth", noted)
     for moment in (SEED, SEED + 1):
         twin.reset({"seed": moment})
         for _ in range(2):

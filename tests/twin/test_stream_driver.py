@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,9 +12,7 @@ from test_driver import STIFFNESS, Gantry, goal
 
 from lerobot_adamanip.contract.keyframes import MotionLimits, Outcome
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.sim.kinematics import ArmKinematics
-from lerobot_env_adamanip.sim.twin.stepped import MotionAbortedError, SteppedMotion
-from lerobot_env_adamanip.sim.twin.stream_driver import StreamDriver
+from lerobot_env_adamanip.sim.arm_driver import ArmDriver
 
 LIMITS = MotionLimits()
 DT = 0.02
@@ -31,13 +29,8 @@ class Watched(Gantry):
         self.targets.append(target.copy())
         super().tick(target, velocity, finger)
 
-    def streaming(self) -> StreamDriver:
-        return StreamDriver(
-            cast(ArmKinematics, self), self.read, self.tick, control_dt=DT, stiffness=STIFFNESS, limits=LIMITS
-        )
 
-
-def ticks(driver: StreamDriver, number: int) -> None:
+def ticks(driver: ArmDriver, number: int) -> None:
     for _ in range(number):
         driver.stream_tick()
 
@@ -46,7 +39,7 @@ def ticks(driver: StreamDriver, number: int) -> None:
 @given(st.lists(st.tuples(st.floats(0.2, 0.9), st.floats(-0.6, 0.6), st.floats(0.1, 1.0)), min_size=1, max_size=4))
 def test_speed_and_acceleration_keep_their_limits_whatever_is_asked(goals: list[tuple[float, float, float]]) -> None:
     gantry = Watched()
-    driver = gantry.streaming()
+    driver = gantry.driver()
     for x, y, z in goals:
         driver.follow_target(goal(x, y, z))
         ticks(driver, 7)
@@ -58,19 +51,20 @@ def test_speed_and_acceleration_keep_their_limits_whatever_is_asked(goals: list[
 
 def test_the_newest_target_wins_and_is_reached_without_overshoot() -> None:
     gantry = Watched()
-    driver = gantry.streaming()
+    driver = gantry.driver()
     driver.follow_target(goal(0.9))
     ticks(driver, 5)
     driver.follow_target(goal(0.6, 0.1))
     ticks(driver, 100)
     np.testing.assert_allclose(driver.measured().tcp_in_base[:3, 3], (0.6, 0.1, 0.7), atol=1e-3)
     assert max(target[0] for target in gantry.targets) < 0.6005
-    assert driver.stream_outcome is None
+    assert not driver.stalled
+    assert not driver.unreachable
 
 
 def test_without_a_target_the_arm_stays_and_hold_brings_it_to_rest() -> None:
     gantry = Watched()
-    driver = gantry.streaming()
+    driver = gantry.driver()
     ticks(driver, 3)
     np.testing.assert_array_equal(gantry.targets[-1], gantry.targets[0])
     driver.follow_target(goal(0.9))
@@ -84,11 +78,10 @@ def test_without_a_target_the_arm_stays_and_hold_brings_it_to_rest() -> None:
 
 def test_a_blocked_pull_stalls_at_a_bounded_lag_and_is_given_up_by_going_back() -> None:
     gantry = Watched(wall=0.55)
-    driver = gantry.streaming()
+    driver = gantry.driver()
     driver.follow_target(goal(0.7))
     ticks(driver, 150)
     assert driver.stalled
-    assert driver.stream_outcome is Outcome.STALLED
     lag = gantry.targets[-1][0] - 0.55
     assert LIMITS.stall_position < lag < LIMITS.stall_position + LIMITS.stall_ticks * LIMITS.linear_speed * DT
     np.testing.assert_array_equal(gantry.targets[-1], gantry.targets[-20])  # it holds, and does not creep
@@ -101,18 +94,19 @@ def test_a_blocked_pull_stalls_at_a_bounded_lag_and_is_given_up_by_going_back() 
 
 def test_out_of_reach_it_says_so_and_stays_where_it_can() -> None:
     gantry = Watched(reach=0.72)
-    driver = gantry.streaming()
+    driver = gantry.driver()
     driver.follow_target(goal(0.8))
     ticks(driver, 100)
-    assert driver.stream_outcome is Outcome.UNREACHABLE
+    assert driver.unreachable
     driver.follow_target(goal(0.6))
     ticks(driver, 100)
-    assert driver.stream_outcome is None
+    assert not driver.stalled
+    assert not driver.unreachable
     assert gantry.qpos[0] == pytest.approx(0.6, abs=1e-3)
 
 
 def test_a_malformed_target_is_refused_and_changes_nothing() -> None:
-    driver = Watched().streaming()
+    driver = Watched().driver()
     driver.follow_target(goal(0.6))
     with pytest.raises(ConfigurationError):
         driver.follow_target(np.full(10, np.nan, np.float32))
@@ -120,53 +114,24 @@ def test_a_malformed_target_is_refused_and_changes_nothing() -> None:
     assert driver.measured().tcp_in_base[0, 3] == pytest.approx(0.6, abs=1e-3)
 
 
-def test_key_frames_after_a_stream_are_those_of_the_key_frame_driver() -> None:
-    """`execute` is not ours: from the same state it commands the same, to the bit."""
+def test_key_frames_after_a_stream_are_those_without_one() -> None:
     gantry, plain = Watched(), Watched()
-    streaming, stock = gantry.streaming(), plain.driver()
+    streaming, stock = gantry.driver(), plain.driver()
     ticks(streaming, 10)
     streaming.end_stream()
     gantry.targets.clear()
-    felt, expected = streaming.execute(goal(0.7, 0.1, 0.8, turn=0.4)), stock.execute(goal(0.7, 0.1, 0.8, turn=0.4))
-    assert felt.outcome is expected.outcome is Outcome.REACHED
+    feedback, expected = (driver.execute(goal(0.7, 0.1, 0.8, turn=0.4)) for driver in (streaming, stock))
+    assert feedback.outcome is expected.outcome is Outcome.REACHED
     np.testing.assert_array_equal(np.array(gantry.targets), np.array(plain.targets))
 
 
-def test_a_stepped_motion_takes_one_tick_a_step_and_ends_as_it_would() -> None:
-    done: list[int] = []
-
-    def motion() -> None:
-        for number in range(3):
-            done.append(number)
-            stepped.pause()
-
-    stepped = SteppedMotion(motion)
-    seen = []
-    while not stepped.step():
-        seen.append(list(done))
-    assert seen == [[0], [0, 1], [0, 1, 2]]
-    assert stepped.step()  # whoever asks again is told again
-
-
-def test_a_stepped_motion_hands_its_error_on_and_can_be_aborted() -> None:
-    def fails() -> None:
-        raise ValueError("broken")
-
-    with pytest.raises(ValueError, match="broken"):
-        SteppedMotion(fails).step()
-    reached: list[str] = []
-
-    def endless() -> None:
-        try:
-            while True:
-                stepped.pause()
-        except MotionAbortedError:
-            reached.append("aborted")
-            raise
-
-    stepped = SteppedMotion(endless)
-    stepped.step()
-    stepped.abort()
-    stepped.abort()
-    assert reached == ["aborted"]
-    assert stepped.finished
+def test_a_key_frame_yields_after_each_tick_and_can_be_aborted() -> None:
+    gantry = Watched()
+    driver = gantry.driver()
+    motion = driver.motion(goal(0.9))
+    for number in range(1, 6):
+        next(motion)
+        assert gantry.ticks == number
+    motion.close()
+    assert driver.feedback.outcome is None
+    assert gantry.ticks == 5

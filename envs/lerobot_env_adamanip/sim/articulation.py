@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_with_x_along
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Shape
-from lerobot_env_adamanip.sim.mechanism_driver import named_joints
 from lerobot_env_adamanip.sim.mesh_files import mesh_file
+from lerobot_env_adamanip.sim.simulation import named_joints
 
 FRICTION = 1.2
 """Friction of objects; the gripper's pads have 2.0, and PhysX uses the mean of a pair."""

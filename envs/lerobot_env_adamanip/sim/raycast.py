@@ -1,4 +1,4 @@
-"""Depth by ray casting, with one ray per pixel.
+"""Pinhole cameras, and depth, clouds and shaded images by ray casting, without a renderer. One ray per pixel.
 
 This Embree binding has neither instances nor moving meshes. Each link therefore has its own scene, and rays are
 transformed into its frame. The depth of one link bounds the rays cast at the next.
@@ -8,16 +8,31 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.pointcloud import Workspace
-from lerobot_env_adamanip.sim.camera import PinholeCamera, Pose
-from lerobot_env_adamanip.sim.triangles import Triangles
+from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
+from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
+from lerobot_env_adamanip.sim.triangles import Triangles, robot_triangles, shapes_triangles
 
+if TYPE_CHECKING:  # so that it can be imported without a simulator
+    from mani_skill.sensors.camera import CameraConfig
+
+    from lerobot_env_adamanip.sim.scene import Visible
+
+Pose = NDArray[np.float64]
+OPENCV_FROM_GL = np.diag([1.0, -1.0, -1.0, 1.0])
+GL_FROM_BODY = np.array([[0.0, 0.0, -1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+"""Transform between an OpenGL camera and SAPIEN's camera body, which looks along x with z up."""
+_BEHIND = 1e-3
+"""Minimum depth of points for projection [m]."""
+_EDGE = 0.01
+"""Margin around an image's edge [m]."""
 Slots = NDArray[np.int64]
 """Indices of rays."""
 Depth = NDArray[np.float32]
@@ -27,6 +42,102 @@ _KEPT_SCENES = 512
 """Number of links cached in a process, enough for some fifty objects; 5,000 triangles take 2 MB."""
 _SPLITS = 3
 """Halvings of a link's triangles: its silhouette is approximated by 2^3 boxes."""
+AROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
+"""Space in shaded images and in depth images, robot base frame [m]."""
+_BACKGROUND = np.array((0.36, 0.37, 0.40), np.float32)
+_COLORS = np.array(
+    ((0.80, 0.80, 0.82), (0.72, 0.56, 0.36), (0.45, 0.60, 0.78), (0.62, 0.74, 0.50), (0.80, 0.48, 0.42)), np.float32
+)
+"""Colours of the arm, then of the other bodies in turn."""
+_LIGHT = np.array((-0.3, 0.5, 0.8), np.float32)
+"""Direction of the light source in the camera frame, with any length."""
+_AMBIENT = 0.3
+
+
+# Cameras ------------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class PinholeCamera:
+    """A square camera with a centred principal point; x right, y up, looking along -z.
+
+    It has a pose (4, 4) in the world, ``size`` pixels along a side, and a focal length [px].
+    """
+
+    pose: Pose
+    size: int
+    focal: float
+
+    @functools.cached_property
+    def world_to_camera(self) -> Pose:
+        """Transform (4, 4) from world to camera frame."""
+        inverse: Pose = np.linalg.inv(self.pose).astype(np.float64, copy=False)
+        return inverse
+
+    def rays(self, beside: tuple[float, float] = (0.0, 0.0)) -> NDArray[np.float64]:
+        """Returns the directions (size^2, 3) of all pixels in scan order, in the camera frame, with depth 1.
+
+        ``beside`` is the offset to the right of and below the pixel's middle [px].
+        """
+        across, down = ((np.arange(self.size) + 0.5 - self.size / 2 + shift) / self.focal for shift in beside)
+        columns, rows = np.meshgrid(across, -down)
+        return np.stack([columns.ravel(), rows.ravel(), np.full(columns.size, -1.0)], axis=1)
+
+    def may_see(self, points: NDArray[np.float64], pose: Pose) -> bool:
+        """Returns False if a body lies completely outside of the image.
+
+        ``points`` (N, 3) are corners of its convex hull in its own frame [m], ``pose`` (4, 4) is its pose in the world.
+        """
+        in_camera = self.world_to_camera @ pose
+        x, y, z = (points @ in_camera[:3, :3].T + in_camera[:3, 3]).T
+        half = -z * (0.5 * self.size / self.focal) + _EDGE
+        beside = x > half, x < -half, y > half, y < -half, z > _EDGE
+        return not any(side.all() for side in beside)
+
+    def rectangles(self, corners_in_camera: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Returns the pixels that may see each of M boxes: (M, 4) with first row, first column, end row, end column.
+
+        The boxes are given by their eight corners, box by box: (8 M, 3) [m], camera frame.
+        """
+        depth = -corners_in_camera[:, 2]
+        # One more pixel on each side, because rays pass through the middles of pixels.
+        scale = self.focal / np.maximum(depth, _BEHIND)
+        rows = (self.size / 2 - scale * corners_in_camera[:, 1]).reshape(-1, 8)
+        columns = (self.size / 2 + scale * corners_in_camera[:, 0]).reshape(-1, 8)
+        edges = np.stack([rows.min(1) - 1, columns.min(1) - 1, rows.max(1) + 2, columns.max(1) + 2], axis=1)
+        edges[depth.reshape(-1, 8).min(1) < _BEHIND] = (0, 0, self.size, self.size)
+        return np.clip(edges, 0, self.size).astype(np.int64)
+
+
+def pinhole(config: CameraConfig) -> PinholeCamera:
+    """Returns ManiSkill's camera for a configuration."""
+    pose = config.pose.sp.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
+    return PinholeCamera(pose, config.width, 0.5 * config.width / np.tan(0.5 * config.fov))
+
+
+def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
+    """Transforms points (M, 3) from a camera's frame to the world by its pose (4, 4). Rounds all clouds alike."""
+    rotation, position = camera_in_world[:3, :3].astype(np.float32), camera_in_world[:3, 3].astype(np.float32)
+    return points @ rotation.T + position
+
+
+def camera_parameters(camera: PinholeCamera) -> dict[str, Any]:
+    """Returns a camera's calibration as a JSON-serialisable dictionary; the robot's base is the world's origin.
+
+    Keys: ``intrinsics`` (3, 3) [px], ``extrinsics`` (4, 4) pose in the robot's base frame, OpenCV axes [m], ``width``
+    and ``height`` [px], ``convention`` (`PIXEL_CONVENTION`).
+    """
+    focal, middle = float(camera.focal), 0.5 * (camera.size - 1)
+    return {
+        "convention": PIXEL_CONVENTION,
+        "intrinsics": [[focal, 0.0, middle], [0.0, focal, middle], [0.0, 0.0, 1.0]],
+        "extrinsics": (camera.pose @ OPENCV_FROM_GL).tolist(),
+        "width": camera.size,
+        "height": camera.size,
+    }
+
+
+# Rays at meshes -----------------------------------------------------------------------------------------------------
 
 
 class LinkMesh:
@@ -172,3 +283,115 @@ def _farthest(camera: PinholeCamera, rays: NDArray[np.float64], workspace: Works
             np.fmax(enters, np.minimum(one, other), out=enters)
             np.fmin(leaves, np.maximum(one, other), out=leaves)
     return np.where((leaves > 0.0) & (leaves >= enters), leaves, 0.0)
+
+
+# Rays at the bodies of a scene --------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Body:
+    """A rigid body for ray casting.
+
+    Attributes:
+        mesh: triangles of the body.
+        entity: SAPIEN's entity, which has the pose.
+        rests: whether it rarely moves: true for an object's links, false for an arm's.
+    """
+
+    mesh: LinkMesh
+    entity: Any
+    rests: bool = False
+
+    def pose(self) -> Pose:
+        """Returns the present pose (4, 4), world frame [m]."""
+        return np.asarray(self.entity.pose.to_transformation_matrix(), np.float64)
+
+
+def visible_bodies(visible: Iterable[Visible], robot: Any, urdf: Path) -> list[Body]:
+    """Returns the bodies for ray casting: visible shapes, and the arm's links from its URDF."""
+    seen = [(body.entity, shapes_triangles(body.shapes)) for body in visible]
+    bodies = [Body(link_mesh(triangles), entity, rests=True) for entity, triangles in seen if len(triangles)]
+    meshes, root = _robot_meshes(urdf), robot.links[0].entity
+    links = [link.entity for link in robot.links if link.entity.name in meshes]
+    return [*bodies, *(Body(meshes[entity.name], entity, rests=entity == root) for entity in links)]
+
+
+@functools.cache
+def _robot_meshes(urdf: Path) -> Mapping[str, LinkMesh]:
+    return {name: LinkMesh(triangles) for name, triangles in robot_triangles(urdf).items()}
+
+
+class RaycastSensor:
+    """Depth camera of the workspace. ``beside`` is the offset of rays right of and below the pixel's middle [px]."""
+
+    def __init__(
+        self,
+        config: CameraConfig,
+        bodies: Iterable[Body],
+        workspace: Workspace,
+        beside: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self._camera = pinhole(config)
+        self._scene = RayScene(self._camera, workspace, beside)
+        bodies = tuple(bodies)
+        self._resting = tuple(body for body in bodies if body.rests)
+        self._moving = tuple(body for body in bodies if not body.rests)
+        self._hits: list[tuple[Pose, tuple[Slots, Depth]] | None] = [None] * len(self._resting)
+        self._behind = self._scene.empty()
+
+    def points(self) -> Cloud:
+        """Returns (M, 3) [m], robot base frame, in scan order: ray hits in or near the workspace."""
+        millimetres = self.pixels()[1]
+        return points_in_world(millimetres * np.float32(1e-3), self._camera.pose)
+
+    def pixels(self) -> tuple[Slots, Cloud]:
+        """Returns pixels (M,), as indices in scan order, and their points (M, 3), camera frame, in whole mm."""
+        self._update_resting()
+        depth = self._behind.copy()
+        self._scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
+        met = self._scene.met(depth)
+        # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
+        points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
+        return self._scene.pixels[met], np.trunc(points, out=points)
+
+    def _update_resting(self) -> None:
+        """Recasts the rays at resting bodies that have moved."""
+        changed = False
+        for index, body in enumerate(self._resting):
+            pose, known = body.pose(), self._hits[index]
+            if known is None or not np.array_equal(pose, known[0]):
+                self._hits[index] = pose, self._scene.hits(body.mesh, pose)
+                changed = True
+        if changed:
+            self._behind = self._scene.empty()
+            for _, (slots, depths) in filter(None, self._hits):
+                self._behind[slots] = np.minimum(self._behind[slots], depths)
+
+
+def shaded_picture(config: CameraConfig, bodies: Sequence[Body]) -> NDArray[np.uint8]:
+    """Returns an image (H, W, 3) of the bodies at their present poses, without their own colours."""
+    camera = pinhole(config)
+    scene = RayScene(camera, AROUND)
+    depth = scene.empty()
+    owner = np.zeros(len(depth), np.int64)
+    for number, body in enumerate(bodies):
+        before = depth.copy()
+        scene.cast([(body.mesh, body.pose())], depth)
+        owner[depth < before] = 1 + number % (len(_COLORS) - 1) if body.rests else 0
+    met = scene.met(depth)
+    points = np.full((camera.size**2, 3), np.nan, np.float32)
+    points[scene.pixels[met]] = scene.rays[met] * depth[met, None]
+    light = _brightness(points.reshape(camera.size, camera.size, 3)).reshape(-1)
+    picture = np.tile(_BACKGROUND, (camera.size**2, 1))
+    picture[scene.pixels[met]] = _COLORS[owner[met]] * light[scene.pixels[met], None]
+    return np.clip(255 * picture + 0.5, 0, 255).astype(np.uint8).reshape(camera.size, camera.size, 3)
+
+
+def _brightness(points: Cloud) -> NDArray[np.float32]:
+    """Returns the brightness (H, W) of points (H, W, 3), camera frame, from the surface through neighbouring points."""
+    right, down = (np.roll(points, -1, axis=axis) - points for axis in (1, 0))
+    normal = np.cross(down, right)
+    length = np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
+    facing = (normal @ (_LIGHT / np.linalg.norm(_LIGHT))) / length
+    # A pixel without a hit has no surface: it is as dark as a surface that faces away from the light.
+    return np.asarray(np.nan_to_num(_AMBIENT + (1 - _AMBIENT) * np.clip(facing, 0, 1), nan=_AMBIENT), np.float32)

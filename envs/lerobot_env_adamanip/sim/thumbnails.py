@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_env_adamanip.sim.articulation import build_object
-from lerobot_env_adamanip.sim.mechanism_driver import named_joints
 from lerobot_env_adamanip.sim.renderer import empty_scene
+from lerobot_env_adamanip.sim.simulation import named_joints
 
 FIELD_OF_VIEW = np.deg2rad(26)
 OVERSAMPLING = 2

@@ -66,7 +66,7 @@ class PlayedMotion:
         self._seen.append((self._elapsed, reading))
         if self._arrived is None:
             self._arrived = self._judge_move(reading, sent)
-            # As in `KeyframeDriver`: the gripper acts during a motion, or alone without one.
+            # As in `ArmDriver`: the gripper acts during a motion, or alone without one.
             self._grips = self._arrived is Outcome.REACHED and abs(self.gripper - self.held) > 0.1
             self._left = STILL_TIME if self._grips else self.pause
         else:

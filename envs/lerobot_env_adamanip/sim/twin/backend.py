@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,9 +14,8 @@ from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
-from lerobot_env_adamanip.sim.twin.camera import TwinEye
-from lerobot_env_adamanip.sim.twin.scene import TwinScene
-from lerobot_env_adamanip.sim.twin.stepped import SteppedMotion
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim.cameras import Pair
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions
 
 TICK = 0.02
@@ -28,7 +27,7 @@ MOVING = 0.01
 
 
 class SapienBackend:
-    """An `ArmBackend` on the arm of a `TwinScene`. Key frames are `KeyframeDriver.execute`, in slices of a tick.
+    """An `ArmBackend` on the arm of a `KeyframeEnv`. Key frames are `KeyframeEnv.motion`, one tick at a time.
 
     Args:
         options: see `TwinOptions`.
@@ -39,13 +38,12 @@ class SapienBackend:
 
     def __init__(self, options: TwinOptions, boxes: Mapping[str, Mailbox] | None = None) -> None:
         self._options, self._boxes = options, boxes or {}
-        self._scene = TwinScene(options=options.environment.changed(observe_images=False))
-        self._eye: TwinEye | None = None
-        self._motion: SteppedMotion | None = None
+        self.env = KeyframeEnv(options=options.environment.changed(observe_images=False))
+        self._motion: Generator[None] | None = None
         self._outcome: Outcome | None = None
         self._time, self._ticked = 0.0, time.perf_counter()
         self._success, self._frames, self._seed = False, 0, options.seed
-        self._connected = self._streaming = False
+        self._connected = self._streaming = self._camera_is_ready = False
 
     # Connection ------------------------------------------------------------------------------------------------------
 
@@ -59,7 +57,7 @@ class SapienBackend:
         if self._connected:
             self._connected = False
             self._abort()
-            self._scene.close()
+            self.env.close()
 
     # Time ------------------------------------------------------------------------------------------------------------
 
@@ -72,33 +70,35 @@ class SapienBackend:
         self._ticked = now if due > MOST_TICKS else self._ticked + max(1, due) * TICK
 
     def _tick(self) -> None:
-        scene = self._scene
-        before, done = scene.ticks, False
+        episode = self.env.episode
+        simulation, driver = episode.task.simulation, episode.task.driver
+        before, is_done = simulation.ticks, False
         if self._motion is not None:
-            if self._motion.step():
-                self._motion, self._outcome = None, scene.feedback.outcome
-                done = scene.episode_success
+            try:
+                next(self._motion)
+            except StopIteration:
+                self._motion, self._outcome, is_done = None, driver.feedback.outcome, episode.success
         else:
-            scene.driver.stream_tick()
-            done = scene.task_simulation.succeeded()
-        if done and not self._success:
+            driver.stream_tick()
+            is_done = simulation.succeeded()
+        if is_done and not self._success:
             self._publish_success(True)
         # A motion ends in the slice after its last tick. That slice has no tick, but the arm's clock must advance.
-        self._time += max(1, scene.ticks - before) * TICK
+        self._time += max(1, simulation.ticks - before) * TICK
 
     def read(self) -> ArmReading:
         """Returns the state after the latest tick. The stamp is this machine's time."""
-        scene = self._scene
-        felt, joints = scene.driver.measured(), scene.task_simulation.arm_state()
+        task = self.env.episode.task
+        measured, joints = task.driver.measured(), task.simulation.arm_state()
         moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
         return ArmReading(
             stamp=time.perf_counter() if self._options.lockstep else min(self._ticked, time.perf_counter()),
             robot_time=self._time,
-            tcp_in_base=felt.tcp_in_base,
-            gripper=float(np.clip(felt.gripper, 0.0, 1.0)),
+            tcp_in_base=measured.tcp_in_base,
+            gripper=float(np.clip(measured.gripper, 0.0, 1.0)),
             qpos=joints.qpos,
             qvel=joints.qvel,
-            effort=scene.driver.effort.copy(),
+            effort=task.driver.effort.copy(),
             mode=ArmMode.MOVING if moves else ArmMode.IDLE,
             outcome=None if self._motion is not None else self._outcome,
         )
@@ -109,32 +109,30 @@ class SapienBackend:
         """Replaces the target of the stream. Aborts a running key frame."""
         self._abort()
         self._outcome, self._streaming = None, True
-        self._scene.driver.follow_target(target.pose)
+        self.env.episode.task.driver.follow_target(target.pose)
 
     def begin_keyframe(self, target: ArmTarget) -> None:
         """Starts a key frame at the arm's current pose."""
         self._abort()
         if self._streaming:
-            self._scene.driver.end_stream()
+            self.env.episode.task.driver.end_stream()
         self._outcome, self._streaming = None, False
-        pose = target.pose
-        self._motion = SteppedMotion(lambda: self._scene.drive(pose))
-        self._scene.after_tick = self._motion.pause
+        self._motion = self.env.motion(target.pose)
 
     def stop(self) -> None:
         """Decelerates. The arm then holds its position."""
         self._abort()
         self._streaming = True
-        self._scene.driver.hold()
+        self.env.episode.task.driver.hold()
 
     def recover(self) -> None:
         """Does nothing: a simulated arm has no faults."""
 
     def _abort(self) -> None:
-        motion, self._motion, self._scene.after_tick = self._motion, None, None
+        motion, self._motion = self._motion, None
         if motion is not None:
-            motion.abort()
-            self._scene.driver.break_off()
+            motion.close()
+            self.env.episode.task.driver.break_off()
 
     # Requests --------------------------------------------------------------------------------------------------------
 
@@ -144,53 +142,56 @@ class SapienBackend:
         if not isinstance(seed, int) or isinstance(seed, bool) or not 0 <= seed < 2**31:
             raise ValueError(f"seed is {seed!r}, not a whole number, 0 ... 2147483647")
         self._abort()
-        self._scene.reset(seed=seed)
-        self._eye, self._outcome, self._streaming = None, None, False
+        self.env.reset(seed=seed)
+        self._outcome, self._streaming, self._camera_is_ready = None, False, False
         self._seed = seed
         self._publish_success(False)
         if self._frames:  # pictures were requested, and will be again
-            self._camera().get_ready()
+            self._prepare_camera()
         self._ticked = time.perf_counter()
         return self.describe()
 
     def describe(self) -> dict[str, Any]:
         """Returns the episode's public description, without hidden values."""
-        scene = self._scene
+        env = self.env
         return {
             "seed": self._seed,
-            "category": scene.category,
-            "object_id": scene.task_simulation.obj.object_id,
-            "task": scene.task_description,
-            "mechanism_rules": scene.options.mechanism_rules,
-            "annotations": dict(scene.annotations),
-            "camera": self._camera().parameters(),
+            "category": env.category,
+            "object_id": env.episode.task.simulation.obj.object_id,
+            "task": env.task_description,
+            "mechanism_rules": env.options.mechanism_rules,
+            "annotations": dict(env.annotations),
+            "camera": env.camera_parameters(),
         }
 
     def look(self, _: dict[str, Any]) -> dict[str, Any]:
         """Puts a picture into the mailbox of frames and returns its number."""
         if FRONT_FRAMES not in self._boxes:
             raise RobotError("The twin was started without a camera.")
-        camera = self._camera()
-        camera.get_ready()  # the slow first picture of a scene would count as stale
+        self._prepare_camera()
         taken = time.perf_counter()
-        color, depth = camera.take()
+        color, depth = self._color_and_depth()
         self._frames += 1
         self._boxes[FRONT_FRAMES].write(Frame(taken, taken, color, depth, self._frames))
         return {"number": self._frames}
 
-    def _camera(self) -> TwinEye:
-        if self._eye is None:
-            self._eye = self._scene.eye(self._options.image_size, self._options.depth_source)
-        return self._eye
+    def _prepare_camera(self) -> None:
+        """Takes a scene's first picture, which takes ten times as long as later ones and would count as stale."""
+        if not self._camera_is_ready:
+            self._color_and_depth()
+            self._camera_is_ready = True
+
+    def _color_and_depth(self) -> Pair:
+        return self.env.episode.task.cameras.color_and_depth(self._options.depth_source)
 
     def episode(self, _: dict[str, Any]) -> dict[str, Any]:
         """Returns the episode's state with hidden values. For logs only, never for features."""
-        scene = self._scene
+        ticks = self.env.episode.task.simulation.ticks
         return {
-            **scene.episode_record(),
+            **self.env.episode_record(),
             "success": self._success,
             "given_seed": self._seed,
-            "seconds": round(scene.ticks * TICK, 6),
+            "seconds": round(ticks * TICK, 6),
         }
 
     def _publish_success(self, done: bool) -> None:

@@ -1,0 +1,208 @@
+"""Cameras of one episode: point clouds and images, rendered or by ray casting, created on request."""
+
+from __future__ import annotations
+
+import functools
+import logging
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import sapien
+from mani_skill.envs.scene import ManiSkillScene
+from mani_skill.sensors.camera import Camera, CameraConfig
+from mani_skill.utils.building.ground import build_ground
+from numpy.typing import NDArray
+from sapien.wrapper.actor_builder import ActorBuilder
+
+from lerobot_adamanip.contract.cameras import FRONT
+from lerobot_adamanip.contract.pointcloud import Cloud, depth_size
+from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_env_adamanip.sim.articulation import add_visual
+from lerobot_env_adamanip.sim.raycast import (
+    AROUND,
+    Body,
+    RaycastSensor,
+    camera_parameters,
+    pinhole,
+    points_in_world,
+    shaded_picture,
+    visible_bodies,
+)
+from lerobot_env_adamanip.sim.renderer import empty_scene, without_reflections
+from lerobot_env_adamanip.sim.scene import ObjectScene, add_lights, camera_config
+from lerobot_env_adamanip.sim.triangles import robot_outlines
+
+Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
+"""Colour (H, W, 3) RGB and depth (H, W) [mm], 0 for invalid pixels."""
+FARTHEST = 4000
+"""Range of the depth camera [mm]."""
+_logger = logging.getLogger(__name__)
+
+
+@dataclass
+class Cameras:
+    """Cameras of one episode. Clouds have the pixels of a depth image of `depth_size`.
+
+    Attributes:
+        objects: bodies of the scene, except arm and ground.
+        robot: SAPIEN articulation of the arm.
+        urdf: its URDF.
+        poses: camera -> its pose.
+        options: image size, workspace, source of clouds, rendering device.
+        shader: shader pack of ManiSkill's cameras.
+    """
+
+    objects: ObjectScene
+    robot: Any
+    urdf: Path
+    poses: Mapping[str, Any]
+    options: EnvironmentOptions
+    shader: str
+    _rendered: dict[tuple[str, int], RenderedCamera] = field(default_factory=dict)
+    _renders = True
+
+    def config(self, name: str = FRONT, size: int | None = None) -> CameraConfig:
+        """Returns a camera's configuration, by default for images."""
+        return camera_config(name, self.poses[name], size or self.options.image_size, self.shader)
+
+    @property
+    def cloud_config(self) -> CameraConfig:
+        """Configuration of the front camera for clouds."""
+        return self.config(size=depth_size(self.options.num_points))
+
+    def points(self) -> Cloud:
+        """Returns the present points (M, 3) [m], robot base frame, in scan order, covering at least the workspace."""
+        return self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
+
+    def image(self, name: str = FRONT) -> NDArray[np.uint8]:
+        """Returns a camera's present image (H, W, 3); raises `SimulatorError` if this machine cannot render."""
+        return self._scene(self.config(name)).take()
+
+    def shaded_image(self) -> NDArray[np.uint8]:
+        """Returns the front camera's image (H, W, 3) without a renderer: shapes without their own colours."""
+        return shaded_picture(self.config(), self.bodies())
+
+    def color_and_depth(self, source: str = "render") -> Pair:
+        """Returns the front camera's present colour and depth, of one moment.
+
+        ``source`` is ``render``, or ``raycast`` for shapes without colours. Without a renderer, always ``raycast``.
+        """
+        if source == "render" and self._renders:
+            try:
+                return self._scene(self.config()).color_and_depth()
+            except SimulatorError as error:
+                self._renders = False
+                first = str(error).split("\n")[0]
+                _logger.warning("The front camera uses ray casting, without colours: %s", first)
+        size = self.options.image_size
+        pixels, millimetres = self._wide_rays.pixels()
+        depth = np.zeros(size * size, np.uint16)
+        depth[pixels] = -millimetres[:, 2]
+        return self.shaded_image(), depth.reshape(size, size)
+
+    @functools.cached_property
+    def rays(self) -> RaycastSensor:
+        """Ray-cast front camera of the workspace."""
+        return RaycastSensor(self.cloud_config, self.bodies(), self.options.workspace)
+
+    @functools.cached_property
+    def _wide_rays(self) -> RaycastSensor:
+        return RaycastSensor(self.config(), self.bodies(), AROUND)
+
+    @property
+    def depth_scene(self) -> RenderedCamera:
+        """Rendered front camera with the size of `rays`."""
+        return self._scene(self.cloud_config)
+
+    def _scene(self, config: CameraConfig) -> RenderedCamera:
+        key = config.uid, config.width
+        if key not in self._rendered:
+            device = self.options.render_backend
+            self._rendered[key] = RenderedCamera(self.objects, self.robot, self.urdf, config, device)
+        return self._rendered[key]
+
+    def bodies(self) -> list[Body]:
+        """Returns the bodies for ray casting."""
+        return visible_bodies(self.objects.visible, self.robot, self.urdf)
+
+    def parameters(self) -> dict[str, Any]:
+        """Returns the front camera's calibration for its image, see `camera_parameters`."""
+        return camera_parameters(pinhole(self.config()))
+
+
+class RenderedCamera:
+    """Renders the physics scene's bodies at their present poses, in a second scene; the first has no renderer.
+
+    Raises `SimulatorError` if this machine cannot render.
+    """
+
+    def __init__(self, objects: ObjectScene, robot: Any, urdf: Path, camera: CameraConfig, render_backend: str) -> None:
+        self._scene = empty_scene(render_backend)
+        build_ground(self._scene, altitude=objects.ground_z)
+        self._looks: list[tuple[Any, Any]] = []
+        self._pinhole, self._outlines = pinhole(camera), robot_outlines(urdf)
+        for body in objects.visible:
+            builder = ActorBuilder()
+            for shape in body.shapes:
+                if shape.visible:
+                    add_visual(builder, shape)
+            self._add(body.entity, builder.build_render_component())
+        components = _robot_components(self._scene, urdf)
+        for link in robot.links:
+            if (component := components.get(link.entity.name)) is not None:
+                self._add(link.entity, component)
+        add_lights(self._scene, shadow=False)
+        self._camera = Camera(without_reflections(camera), self._scene)
+
+    def take(self) -> NDArray[np.uint8]:
+        """Returns an image (H, W, 3) of the present scene."""
+        self._render()
+        image: NDArray[np.uint8] = self.texture("rgb")
+        return image
+
+    def color_and_depth(self) -> Pair:
+        """Returns colour and depth of one render."""
+        image, depth = self.take(), self.texture("depth")[..., 0]
+        return image, np.where((depth > 0) & (depth < FARTHEST), depth, 0).astype(np.uint16)
+
+    def points(self) -> Cloud:
+        """Returns (M, 3) [m], robot base frame, in scan order: one point per pixel with a hit."""
+        self._render()
+        millimetres = self.texture("position").reshape(-1, 3)
+        seen = millimetres[millimetres[:, 2] < -1].astype(np.float32) * np.float32(1e-3)
+        return points_in_world(seen, self._camera.get_params()["cam2world_gl"][0].cpu().numpy())
+
+    def texture(self, name: str) -> NDArray[Any]:
+        """Returns ``rgb``, ``depth`` or ``position`` (H, W, C) of the latest image."""
+        names = {"rgb": False, "depth": False, "position": False, "segmentation": False, name: True}
+        return np.asarray(self._camera.get_obs(**names)[name][0].cpu().numpy())
+
+    def _render(self) -> None:
+        """Renders. Bodies outside of the image are disabled: without a GPU an arm's links take most of the time."""
+        for look, entity in self._looks:
+            look.pose = entity.pose
+            if (outline := self._outlines.get(entity.name)) is not None:
+                component = look.components[0]
+                is_seen = self._pinhole.may_see(outline, entity.pose.to_transformation_matrix())
+                if is_seen != component.is_enabled:
+                    (component.enable if is_seen else component.disable)()
+        self._scene.update_render(update_sensors=True, update_human_render_cameras=False)
+        self._camera.capture()
+
+    def _add(self, entity: Any, component: Any) -> None:
+        look = sapien.Entity()
+        look.add_component(component)
+        self._scene.sub_scenes[0].add_entity(look)
+        self._looks.append((look, entity))
+
+
+def _robot_components(scene: ManiSkillScene, urdf: Path) -> dict[str, Any]:
+    """Returns link name -> component from ManiSkill's loader for its visuals."""
+    loader = scene.create_urdf_loader()
+    loader.name = "looks"
+    links = loader.parse(str(urdf))["articulation_builders"][0].link_builders
+    return {link.name: link.build_render_component() for link in links if link.visual_records}

@@ -1,0 +1,56 @@
+"""How many of our files and functions a reader has to follow: each way has a bound, and may only become shorter."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from ways import Way, traced
+
+SIMULATED = pytest.mark.sim
+
+
+def step_in_mid_episode() -> Way:
+    """One `env.step`: the adaptive expert's hand pulls at the locked door of a safe."""
+    from lerobot_adamanip.experts import Phase, make_expert
+    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+
+    env = KeyframeEnv("safe", objects="safe_000", num_points=128, observe_images=False)
+    try:
+        env.reset(seed=0, options={"hidden_overrides": {"locked": True}})
+        expert = make_expert("safe", "adaptive", env.annotations, generator=np.random.default_rng(0))
+        goal = next(expert)
+        while goal.phase in (Phase.APPROACH, Phase.GRASP):
+            env.step(goal.action())
+            goal = expert.send(env.feedback)
+        with traced() as way:
+            _, _, terminated, truncated, _ = env.step(goal.action())
+        assert not terminated
+        assert not truncated
+        return way
+    finally:
+        env.close()
+
+
+WAYS: list[Any] = [
+    # One use of the code, the most files, the most functions.
+    pytest.param(step_in_mid_episode, 12, 80, marks=SIMULATED),
+]
+
+
+@pytest.mark.parametrize(("use", "files", "functions"), WAYS)
+def test_a_way_is_no_longer_than_its_bound(use: Callable[[], Way], files: int, functions: int) -> None:
+    way = use()
+    assert 0 < len(way.files) <= files, way
+    assert len(way.functions) <= functions, way
+
+
+def test_the_tracer_counts_our_functions_alone() -> None:
+    from lerobot_adamanip.contract.rotations import rotation_about
+
+    with traced() as way:
+        [rotation_about((0.0, 0.0, 1.0), angle) for angle in np.linspace(0.0, 1.0, 3)]
+    assert "lerobot_adamanip/contract/rotations.py:rotation_about" in way.functions
+    assert way.files == {"lerobot_adamanip/contract/rotations.py"}
