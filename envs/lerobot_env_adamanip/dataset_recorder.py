@@ -13,24 +13,22 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.collection.assemble import Recorded, assemble_recorded
-from lerobot_adamanip.collection.recorder import EpisodeRecorder
+from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import SPLIT, environment_json
-from lerobot_adamanip.datasets.episode import start_column
+from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.output_folder import RECORDING, owned_output
 from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
-from lerobot_adamanip.episode.rollout import KeyFrame
+from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv, Observation
 
 _log = logging.getLogger(__name__)
-_AT_REST = np.zeros((0, schema.ACTION_DIM), np.float32)
 
 
 class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
@@ -133,8 +131,8 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
             DatasetError: no episode was recorded, or the dataset cannot be written.
         """
         self._write()
-        recorded = Recorded(self._shards(), self._env.options, self._repo_id)
-        built = assemble_recorded(self._output.fresh("dataset"), self._output.root.name, recorded)
+        contents = Contents(self._shards(), self._env.options, self._repo_id)
+        built = assemble(self._output.fresh("dataset"), self._output.root.name, contents)
         self._output.publish(built)
         self._stack.close()
         return self._output.root
@@ -176,27 +174,21 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         env, number = self._env, self.episodes
         episode_record = env.episode_record()
         columns = recorder.columns()
-        record = {
-            "object_id": episode_record["object_id"],
-            "seed": episode_record["seed"],
-            "hidden_state": env.hidden_state(),
-            "hidden_overrides": None if self._overrides is None else dict(self._overrides),
-            "expert": self._recorded_by,
-            "success": bool(columns[schema.SUCCESS].any()),
-            "key_frames": len(recorder.rows),
-            "task": env.task_description,
-            "episode_record": episode_record,
-            "versions": {**env.software_versions(), "cpu": cpu_model()},
-            "simulation_version": SIMULATION_VERSION,
-            "data_version": DATA_VERSION,
-            "start": start_column(_AT_REST),
-            "camera": env.camera_parameters(),
-            "tries": len(episode_record["try_sequence"]),
-            "failed_tries": sum(failed for _, _, failed in episode_record["try_sequence"]),
-            "slot": number,
-            "attempt": 0,
-            "attempts": 1,
-            "failures": [],
-            "late": False,
-        }
-        write_shard(self._output.work / "episodes" / f"{number:06d}.safetensors", RecordedEpisode(columns, record))
+        description = EpisodeDescription(
+            object_id=episode_record["object_id"],
+            seed=episode_record["seed"],
+            expert=self._recorded_by,
+            tries=len(episode_record["try_sequence"]),
+            failed_tries=sum(failed for _, _, failed in episode_record["try_sequence"]),
+            success=bool(columns[schema.SUCCESS].any()),
+            slot=number,
+            simulation_version=SIMULATION_VERSION,
+            data_version=DATA_VERSION,
+            hidden_state=env.hidden_state(),
+            hidden_overrides=None if self._overrides is None else dict(self._overrides),
+            camera=env.camera_parameters(),
+            versions={**env.software_versions(), "cpu": cpu_model()},
+            episode_record=episode_record,
+        )
+        episode = RecordedEpisode(columns, description.record(env.task_description))
+        write_shard(self._output.work / "episodes" / f"{number:06d}.safetensors", episode)

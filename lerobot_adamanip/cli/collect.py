@@ -152,7 +152,7 @@ class Collect:
         self._require_whole()
         spec = self._spec_without_images()
         from lerobot_adamanip.cli.collect_setup import begin, no_pictures, summary_text
-        from lerobot_adamanip.collection.folder_identity import require_same_options
+        from lerobot_adamanip.collection.partial import require_same_options
 
         options = self.options()
         spec = self._with_images(spec)
@@ -242,7 +242,7 @@ class Collect:
     def options(self) -> CollectOptions:
         """Returns the options that do not change the data; raises `ConfigurationError`."""
         from lerobot_adamanip.collection.collect import CollectOptions
-        from lerobot_adamanip.collection.parts import Part
+        from lerobot_adamanip.collection.partial import Part
 
         return CollectOptions(
             workers=self.workers,

@@ -11,15 +11,30 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
-from lerobot_adamanip.collection.folder_identity import is_own_partial, prepare_partial, require_finished
-from lerobot_adamanip.collection.outcome import Attempt, ItemOutcome, write_outcome
-from lerobot_adamanip.collection.parts import Part, belongs, failed_attempts, given_up, import_parts
+from lerobot_adamanip.collection.partial import (
+    Part,
+    belongs,
+    failed_attempts,
+    given_up,
+    is_own_partial,
+    prepare_partial,
+    require_finished,
+)
 from lerobot_adamanip.collection.ray_cluster import connected, require_usable
-from lerobot_adamanip.collection.record import Factories, RecordingJob, recording_session, writing_session
-from lerobot_adamanip.collection.summary import CollectSummary, Results, Run
+from lerobot_adamanip.collection.record import (
+    Attempt,
+    Factories,
+    ItemOutcome,
+    RecordingJob,
+    recording_session,
+    write_outcome,
+    writing_session,
+)
+from lerobot_adamanip.collection.summary import CollectSummary, Results, summarize, summarize_part
 from lerobot_adamanip.datasets.attempts import all_attempts, count
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec
 from lerobot_adamanip.datasets.dataset import read_back
@@ -107,44 +122,37 @@ def collect(
     if options.cluster is not None:
         require_usable(options.cluster, insecure=options.insecure_cluster)
     paths = CollectionPaths(resolve_output(root))
+
+    def complete() -> CollectSummary:
+        return summarize(paths.root, spec, [], seconds=time.monotonic() - begin, recording_seconds=0.0)
+
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
-        require_finished(paths.root, Manifest.of(spec, _versions(spec, factories)))
-        return Run(begin).summarize(paths.root, spec)
+        require_finished(paths.root, _manifest(spec, factories))
+        return complete()
     with _claimed(paths, spec) as output:
-        manifest = Manifest.of(spec, _versions(spec, factories))
+        manifest = _manifest(spec, factories)
         if _is_complete(output, paths, manifest):
-            return Run(begin).summarize(paths.root, spec)
+            return complete()
         job = RecordingJob(spec, factories, options.max_attempts, manifest.versions)
-        summary = _collected(job, paths, manifest, options, listener=listener, begin=begin)
-        if options.part is None:
-            output.discard()
+        prepare_partial(paths, manifest, options.adopt)
+        results = _record(job, paths, options, listener)
+        facts: dict[str, Any] = {
+            "recording_seconds": time.monotonic() - begin,
+            "failures": _require_all(results, options),
+        }
+        files.crash_point("all recorded")
+        if options.part is not None:
+            facts["seconds"] = time.monotonic() - begin
+            return summarize_part(paths, options.part.of(spec.items()), results, **facts)
+        _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
+        summary = summarize(paths.root, spec, results, seconds=time.monotonic() - begin, **facts)
+        output.discard()
     return summary
 
 
-def _collected(
-    job: RecordingJob,
-    paths: CollectionPaths,
-    manifest: Manifest,
-    options: CollectOptions,
-    *,
-    listener: Listener,
-    begin: float,
-) -> CollectSummary:
-    """Records the missing episodes; publishes the dataset, unless only a part is recorded."""
-    prepare_partial(paths, manifest)
-    import_parts(paths, manifest, options.adopt)
-    results = _record(job, paths, options, listener)
-    run = Run(begin, results, time.monotonic() - begin, _require_all(results, options))
-    files.crash_point("all recorded")
-    if options.part is not None:
-        return run.summarize_part(paths, options.part.of(job.spec.items()))
-    _publish(paths, manifest, options, lambda done, total: listener("assemble", done, total))
-    return run.summarize(paths.root, job.spec)
-
-
-def _versions(spec: CollectionSpec, factories: Factories) -> dict[str, str]:
+def _manifest(spec: CollectionSpec, factories: Factories) -> Manifest:
     with contextlib.closing(factories.environment(spec.environment_of(spec.categories[0]))) as env:
-        return env.software_versions()
+        return Manifest.of(spec, env.software_versions())
 
 
 # Folders --------------------------------------------------------------------------------------------------------------
@@ -193,7 +201,8 @@ def _record(job: RecordingJob, paths: CollectionPaths, options: CollectOptions, 
     listener("record", done.total(), len(items))
     with _recorder(job, paths, options, len(missing)) as run:
         for result in run(missing):
-            outcome = result.value or _lost(result)
+            crash = Attempt(0, None, False, f"its workers crashed ({result.death})", 0, False)
+            outcome = result.value or ItemOutcome((crash,))
             if result.value is None or options.cluster is not None:
                 outcome = write_outcome(paths, result.item, outcome)
             results.append(replace(result, value=outcome))
@@ -224,16 +233,12 @@ def _recorder(
             yield executor.run
 
 
-def _lost(result: jobs.JobResult[EpisodeSpec]) -> ItemOutcome:
-    return ItemOutcome((Attempt(0, None, False, f"its workers crashed ({result.death})", 0, False),))
-
-
 def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
     """Returns why episodes were given up; raises `DatasetError` unless `options` allow missing ones."""
     failures = tuple(
-        f"{each.item}: " + "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in each.value.attempts)
-        for each in results
-        if not each.value.kept
+        f"{result.item}: " + "; ".join(f"seed {attempt.seed}: {attempt.reason}" for attempt in result.value.attempts)
+        for result in results
+        if not result.value.kept
     )
     if failures and not options.allow_missing:
         raise DatasetError(
@@ -265,24 +270,19 @@ def _publish(
     counted = replace(manifest, attempts=count(attempts, len(items)), processors=processors)
     repo_id = options.repo_id or f"local/{paths.root.name}"
     workers = options.workers if options.cluster is None else os.cpu_count() or 1
-    if manifest.spec.keep_failed and (failed := _failed_shards(paths, manifest)):
-        contents = Contents(counted, failed, attempts, f"{repo_id}-failed")
-        files.remove_tree(paths.building_failed)
-        built = assemble(paths.building_failed, paths.failed.name, contents, progress, workers)
-        files.remove_tree(paths.failed)  # belongs to this collection, as `prepare_partial` has checked
-        files.move_durably(built, paths.failed)
-    files.remove_tree(paths.building)
-    contents = Contents(counted, shards, attempts, repo_id)
-    built = assemble(paths.building, paths.root.name, contents, progress, workers)
-    files.move_durably(built, paths.root)
+
+    def build(folder: Path, root: Path, name: str, episodes: list[Path]) -> None:
+        contents = Contents(episodes, manifest.spec.environment, name, counted, attempts)
+        files.remove_tree(folder)
+        built = assemble(folder, root.name, contents, progress, workers)
+        if root == paths.failed:
+            files.remove_tree(root)  # belongs to this collection, as `prepare_partial` has checked
+        files.move_durably(built, root)
+
+    failed = [
+        path for item in items for path in failed_attempts(paths.failed_episodes, item) if belongs(path, manifest, item)
+    ]
+    if manifest.spec.keep_failed and failed:
+        build(paths.building_failed, paths.failed, f"{repo_id}-failed", sorted(failed))
+    build(paths.building, paths.root, repo_id, shards)
     files.crash_point("dataset in place")
-
-
-def _failed_shards(paths: CollectionPaths, manifest: Manifest) -> list[Path]:
-    """Returns the files of failed attempts in this collection."""
-    return sorted(
-        path
-        for item in manifest.spec.items()
-        for path in failed_attempts(paths.failed_episodes, item)
-        if belongs(path, manifest, item)
-    )

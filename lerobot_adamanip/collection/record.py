@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,17 +19,17 @@ from numpy.typing import NDArray
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
-from lerobot_adamanip.collection.outcome import Attempt, Hidden, ItemOutcome, write_outcome
-from lerobot_adamanip.collection.recorder import EpisodeRecorder
 from lerobot_adamanip.contract.keyframes import KeyFrames
+from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
-from lerobot_adamanip.datasets.episode import start_column
+from lerobot_adamanip.datasets.episode import EpisodeDescription, start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
-from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
+from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes, write_shard_bytes
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
+from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, SimulatedEnvironment, rollout
+from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
 from lerobot_adamanip.util.jobs import Heartbeat
 
@@ -35,6 +37,7 @@ EnvFactory = Callable[[EnvironmentOptions], SimulatedEnvironment]
 """Builds an environment. Must be a module-level function or a `functools.partial` of one, to be sent to workers."""
 ExpertFactory = Callable[..., KeyFrames]
 """Creates an expert; arguments of `lerobot_adamanip.experts.make_expert`. Must be module-level, too."""
+Hidden = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
@@ -53,15 +56,6 @@ class Factories:
 
 
 @dataclass(frozen=True)
-class EpisodeRequest:
-    """Request for one attempt: object, seed, and optionally fixed hidden values."""
-
-    object_id: str
-    seed: int
-    overrides: Hidden | None = None
-
-
-@dataclass(frozen=True)
 class RecordingJob:
     """Settings that a worker needs to record episodes.
 
@@ -76,6 +70,66 @@ class RecordingJob:
     factories: Factories
     max_attempts: int
     versions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """One attempted episode.
+
+    Attributes:
+        seed: seed of the episode.
+        hidden_state: sampled values; None if no reachable layout was found.
+        success: whether the expert succeeded.
+        reason: ``success``, or the cause of failure.
+        key_frames: number of key frames.
+        late: whether it had a late start.
+    """
+
+    seed: int
+    hidden_state: Hidden | None
+    success: bool
+    reason: str
+    key_frames: int
+    late: bool
+
+
+@dataclass(frozen=True)
+class EpisodeRequest:
+    """Request for one attempt at an episode.
+
+    Attributes:
+        object_id: id of the object.
+        seed: seed of the episode.
+        overrides: hidden values; None to sample them.
+        slot: number of the episode among those of its object.
+        earlier: attempts before this one.
+    """
+
+    object_id: str
+    seed: int
+    overrides: Hidden | None = None
+    slot: int = 0
+    earlier: Sequence[Attempt] = ()
+
+
+@dataclass(frozen=True)
+class ItemOutcome:
+    """Result of an item.
+
+    Attributes:
+        attempts: all attempts, in order.
+        kept: whether the last attempt is kept: a success, or any episode of a corrected policy.
+        failed: attempt -> file content of a failed episode to keep; empty once written.
+        episode: file content of the kept episode; None once written.
+    """
+
+    attempts: tuple[Attempt, ...]
+    kept: bool = False
+    failed: Mapping[int, bytes] = field(default_factory=dict)
+    episode: bytes | None = None
+
+
+# Workers --------------------------------------------------------------------------------------------------------------
 
 
 class Environments:
@@ -109,7 +163,14 @@ def recording_session(job: RecordingJob) -> Iterator[Callable[[EpisodeSpec, Hear
 
     def make(options: EnvironmentOptions) -> SimulatedEnvironment:
         env = job.factories.environment(options)
-        _require_versions(env, job)
+        versions = env.software_versions()
+        if parts := differing_parts(versions, job.versions):
+            raise DatasetError(
+                f"A worker has other versions than the collection: {', '.join(parts)} differ.",
+                got="; ".join(f"{name} = {versions.get(name)}" for name in parts),
+                allowed="; ".join(f"{name} = {job.versions.get(name)}" for name in parts),
+                hint="the same command again; was the code or a package changed meanwhile?",
+            )
         return env
 
     with Environments(make, job.spec) as environments:
@@ -125,15 +186,25 @@ def writing_session(
         yield lambda item, beat: write_outcome(paths, item, record(item, beat))
 
 
-def _require_versions(env: SimulatedEnvironment, job: RecordingJob) -> None:
-    found = env.software_versions()
-    if parts := differing_parts(found, job.versions):
-        raise DatasetError(
-            f"A worker has other versions than the collection: {', '.join(parts)} differ.",
-            got="; ".join(f"{name} = {found.get(name)}" for name in parts),
-            allowed="; ".join(f"{name} = {job.versions.get(name)}" for name in parts),
-            hint="the same command again; was the code or a package changed meanwhile?",
-        )
+def write_outcome(paths: CollectionPaths, item: EpisodeSpec, outcome: ItemOutcome) -> ItemOutcome:
+    """Writes an outcome durably, with the file that marks it as done last; returns it without file contents."""
+    for number, content in sorted(outcome.failed.items()):
+        name = item.file_name.replace(".safetensors", f"-{number:03d}.safetensors")
+        write_shard_bytes(paths.failed_episodes / name, content)
+    if outcome.episode is not None:
+        write_shard_bytes(paths.episodes / item.file_name, outcome.episode)
+    else:
+        attempts = json.dumps([vars(attempt) for attempt in outcome.attempts], sort_keys=True)
+        files.write_atomically(attempts_file(paths, item), attempts.encode())
+    return replace(outcome, failed={}, episode=None)
+
+
+def attempts_file(paths: CollectionPaths, item: EpisodeSpec) -> Path:
+    """Returns the file with the attempts at a given-up item."""
+    return paths.attempts / item.file_name.replace(".safetensors", ".json")
+
+
+# Episodes -------------------------------------------------------------------------------------------------------------
 
 
 def record_item(
@@ -146,10 +217,9 @@ def record_item(
     attempts: list[Attempt] = []
     failed: dict[int, bytes] = {}
     hidden: Hidden | None = None
-    category = category_of(item.object_id)
     for number in range(job.max_attempts):
-        seed = episode_seed(job.spec.seed, category, item.object_id, item.slot, number)
-        request = EpisodeRequest(item.object_id, seed, hidden)
+        seed = episode_seed(job.spec.seed, category_of(item.object_id), item.object_id, item.slot, number)
+        request = EpisodeRequest(item.object_id, seed, hidden, item.slot, tuple(attempts))
         try:
             attempt, episode = attempt_episode(env, job.spec, job.factories.expert, request, beat, actor=actor)
         except UnreachableError as error:
@@ -159,15 +229,10 @@ def record_item(
             continue
         attempts.append(attempt)
         hidden = attempt.hidden_state
-        record = {**episode.record, "slot": item.slot, "attempt": number}
         if attempt.success or (actor is not None and episode.columns):
-            failures = [vars(each) for each in attempts[:-1]]
-            record |= {"attempts": number + 1, "failures": failures, "late": attempt.late}
-            content = shard_bytes(RecordedEpisode(episode.columns, record))
-            return ItemOutcome(tuple(attempts), True, failed, content)
+            return ItemOutcome(tuple(attempts), True, failed, shard_bytes(episode))
         if job.spec.keep_failed and episode.columns:
-            record |= {"attempts": 1, "failures": [], "late": attempt.late}
-            failed[number] = shard_bytes(RecordedEpisode(episode.columns, record))
+            failed[number] = shard_bytes(episode)
     return ItemOutcome(tuple(attempts), failed=failed)
 
 
@@ -181,50 +246,68 @@ def attempt_episode(
     actor: Actor | None = None,
 ) -> tuple[Attempt, RecordedEpisode]:
     """Records one episode, successful or not: an expert's, or a policy's with expert corrections."""
-    seed = request.seed
-    observation, actions = _started(env, spec, make_expert, request)
-    hidden, camera = env.hidden_state(), env.camera_parameters()
-    late = bool(len(actions))
+    observation, prefix = _start(env, spec, make_expert, request)
+    hidden, camera, late = env.hidden_state(), env.camera_parameters(), bool(len(prefix))
     recorder = EpisodeRecorder(env.joints)
 
-    def observe(key_frame: Any) -> None:
+    def record(key_frame: KeyFrame) -> None:
         recorder.record(key_frame)
         beat()
 
-    make = functools.partial(_expert, env, spec, make_expert, request)
+    expert = functools.partial(_expert, env, spec, make_expert, request)
     if actor is None:
-        result = rollout(env, observation, make(late=late), observe, past_success=True)
+        result = rollout(env, observation, expert(late=late), record, past_success=True)
     else:
-        rng = episode_generator(seed, Stream.CORRECTION, category_of(request.object_id))
-        correcting = Correcting(actor, functools.partial(make, late=True), spec.expert_share, seed, rng)
-        result = corrected_rollout(env, observation, correcting, observe)
-    attempt = Attempt(seed, hidden, result.success, result.reason, result.key_frames, late)
-    record = _episode_record(env, spec, request, attempt)
-    record |= {"start": start_column(actions), "camera": camera}
-    return attempt, RecordedEpisode(recorder.columns(), record)
-
-
-def _episode_record(
-    env: SimulatedEnvironment, spec: CollectionSpec, request: EpisodeRequest, attempt: Attempt
-) -> dict[str, Any]:
+        rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
+        correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
+        result = corrected_rollout(env, observation, correcting, record)
     episode_record = env.episode_record()
-    tries = episode_record["try_sequence"]
-    return {
-        "object_id": request.object_id,
-        "seed": attempt.seed,
-        "hidden_state": attempt.hidden_state,
-        "hidden_overrides": None if request.overrides is None else dict(request.overrides),
-        "expert": spec.expert,
-        "success": attempt.success,
-        "key_frames": attempt.key_frames,
-        "task": env.task_description,
-        "tries": len(tries),
-        "failed_tries": sum(failed for _, _, failed in tries),
-        "episode_record": episode_record,
-        "versions": {**env.software_versions(), "cpu": cpu_model()},
-        "simulation_version": SIMULATION_VERSION,
-        "data_version": DATA_VERSION,
-    }
+    is_kept = result.success or actor is not None
+    description = EpisodeDescription(
+        object_id=request.object_id,
+        seed=request.seed,
+        expert=spec.expert,
+        tries=len(episode_record["try_sequence"]),
+        failed_tries=sum(failed for _, _, failed in episode_record["try_sequence"]),
+        success=result.success,
+        attempt=len(request.earlier),
+        slot=request.slot,
+        late=late,
+        simulation_version=SIMULATION_VERSION,
+        data_version=DATA_VERSION,
+        hidden_state=hidden,
+        hidden_overrides=None if request.overrides is None else dict(request.overrides),
+        start=start_column(prefix),
+        camera=camera,
+        versions={**env.software_versions(), "cpu": cpu_model()},
+        failures=[vars(attempt) for attempt in request.earlier] if is_kept else [],
+        episode_record=episode_record,
+    )
+    attempt = Attempt(request.seed, hidden, result.success, result.reason, result.key_frames, late)
+    return attempt, RecordedEpisode(recorder.columns(), description.record(env.task_description))
+
+
+def _start(
+    env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
+) -> tuple[Any, NDArray[np.float32]]:
+    """Resets, then executes the late start if the seed has one; returns the first observation and the actions."""
+    category = category_of(request.object_id)
+    reset = functools.partial(reset_scene, env, request.object_id, request.seed, request.overrides)
+    start = draw_start(request.seed, category, spec.late_starts)
+    if start is None:
+        return reset(), np.zeros((0, ACTION_DIM), np.float32)
+
+    def driver(generator: np.random.Generator) -> KeyFrames:
+        # Always static, so that adaptive and static collections have the same late starts.
+        return make_expert(category, "static", env.annotations, generator=generator, hidden=env.hidden_state())
+
+    return start_late(env, start, reset, driver)
+
+
+def reset_scene(env: SimulatedEnvironment, object_id: str, seed: int, overrides: Hidden | None) -> Any:
+    """Starts the scene of an episode, at rest; returns the first observation."""
+    hidden = {} if overrides is None else {"hidden_overrides": dict(overrides)}
+    return env.reset(seed=seed, options={"object_id": object_id, **hidden})[0]
 
 
 def _expert(
@@ -238,12 +321,13 @@ def _expert(
     **known: Any,
 ) -> KeyFrames:
     """Returns the expert of an episode. After a late start it knows the part positions and the feedback."""
+    category = category_of(request.object_id)
     return make_expert(
-        category_of(request.object_id),
+        category,
         spec.expert,
         env.annotations,
         trials=spec.trials,
-        generator=generator or episode_generator(request.seed, Stream.EXPERT, category_of(request.object_id)),
+        generator=generator or episode_generator(request.seed, Stream.EXPERT, category),
         hidden=env.hidden_state() if spec.expert == "static" else None,
         strategy=spec.expert_strategy,
         mechanism_rules=spec.environment.mechanism_rules,
@@ -251,25 +335,3 @@ def _expert(
         feedback=env.feedback if late else None,
         **known,
     )
-
-
-def _started(
-    env: SimulatedEnvironment, spec: CollectionSpec, make_expert: ExpertFactory, request: EpisodeRequest
-) -> tuple[Any, NDArray[np.float32]]:
-    """Resets, then executes the late start if the seed has one; returns the first observation and the actions."""
-    options: dict[str, Any] = {"object_id": request.object_id}
-    if request.overrides is not None:
-        options["hidden_overrides"] = dict(request.overrides)
-
-    def reset() -> Any:
-        return env.reset(seed=request.seed, options=options)[0]
-
-    def driver(generator: np.random.Generator) -> KeyFrames:
-        # Always static, so that adaptive and static collections have the same late starts.
-        category, hidden = category_of(request.object_id), env.hidden_state()
-        return make_expert(category, "static", env.annotations, generator=generator, hidden=hidden)
-
-    start = draw_start(request.seed, category_of(request.object_id), spec.late_starts)
-    if start is None:
-        return reset(), np.zeros((0, 10), np.float32)
-    return start_late(env, start, reset, driver)

@@ -12,8 +12,7 @@ import numpy as np
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
-from lerobot_adamanip.collection.collected_dataset import CollectedDataset
-from lerobot_adamanip.collection.record import EnvFactory, Environments
+from lerobot_adamanip.collection.record import EnvFactory, Environments, reset_scene
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.versions import cpu_model
@@ -72,68 +71,64 @@ def add_pictures(
     with owned_output(out, RENDERING) as output:
         if not (output.work / MANIFEST).exists():
             output.require_free()
-        source = _open(resolve_output(root), assets)
-        _require_same_work(output, manifest := _pictured(source, make_env), source)
-        if is_free(output.root):
-            output.publish(_built(output, source, manifest, make_env, repo_id=repo_id, progress=progress))
-        else:
-            _finish(output, manifest, len(source.rows))
-    return len(source.rows)
-
-
-def _built(
-    output: OutputFolder,
-    source: CollectedDataset,
-    manifest: Manifest,
-    make_env: EnvFactory,
-    *,
-    repo_id: str | None,
-    progress: Progress,
-) -> Path:
-    """Renders and assembles the new dataset in the work folder; returns its folder."""
-    _prepare(output, manifest, source)
-    shards = _rendered(output.work / "episodes", source, manifest, make_env, progress)
-    attempts = read_attempts(attempts_path(source.source.root))
-    contents = Contents(manifest, shards, attempts, repo_id or f"local/{output.root.name}")
-    built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
-    if (selection := selection_path(source.source.root)).exists():
-        files.write_atomically(selection_path(built), selection.read_bytes())
-    return built
-
-
-def _prepare(output: OutputFolder, manifest: Manifest, source: CollectedDataset) -> None:
-    """Records the identity of the new dataset and of its source in the work folder."""
-    output.require_free()
-    output.require_room(2 * files.tree_bytes(source.source.root))
-    write_manifest(output.work / MANIFEST, manifest)
-    files.write_atomically(output.work / SOURCE, identity(source.source.root).encode())
-    (output.work / "episodes").mkdir(exist_ok=True)
-    files.remove_temporaries(output.work / "episodes")
+        source, old = _open(resolve_output(root), assets)
+        manifest = _pictured(old, make_env)
+        _require_same_work(output, manifest, source)
+        if not is_free(output.root):
+            _finish(output, manifest, len(source))
+            return len(source)
+        shards = _rendered(output, source, (old, manifest), make_env, progress)
+        contents = Contents(
+            shards,
+            manifest.spec.environment,
+            repo_id or f"local/{output.root.name}",
+            manifest,
+            read_attempts(attempts_path(source.root)),
+        )
+        built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
+        if (selection := selection_path(source.root)).exists():
+            files.write_atomically(selection_path(built), selection.read_bytes())
+        output.publish(built)
+    return len(source)
 
 
 def _rendered(
-    folder: Path, source: CollectedDataset, manifest: Manifest, make_env: EnvFactory, progress: Progress
+    output: OutputFolder,
+    source: Dataset,
+    manifests: tuple[Manifest, Manifest],
+    make_env: EnvFactory,
+    progress: Progress,
 ) -> list[Path]:
-    """Renders the missing episodes; returns all episode files in order."""
-    shards = []
+    """Renders the missing episodes into the work folder; returns all episode files in order.
+
+    ``manifests``: of the source and of the new dataset.
+    """
+    old, manifest = manifests
+    output.require_free()
+    output.require_room(2 * files.tree_bytes(source.root))
+    folder, shards = output.work / "episodes", []
+    write_manifest(output.work / MANIFEST, manifest)
+    files.write_atomically(output.work / SOURCE, identity(source.root).encode())
+    folder.mkdir(exist_ok=True)
+    files.remove_temporaries(folder)
     with Environments(make_env, manifest.spec) as environments:
-        for number, row in enumerate(source.rows):
-            path = folder / f"{number:06d}.safetensors"
+        for episode in source.episodes:
+            path = folder / f"{episode.number:06d}.safetensors"
             if read_record(path) is None:
-                env = environments.of(category_of(row["object_id"]))
-                write_shard(path, _with_images(env, source, number))
+                env = environments.of(category_of(episode.row["object_id"]))
+                write_shard(path, _with_images(env, source.recorded(episode.number, old)))
             shards.append(path)
-            progress("render", number + 1, len(source.rows))
+            progress("render", episode.number + 1, len(source))
     return shards
 
 
-def _require_same_work(output: OutputFolder, manifest: Manifest, dataset: CollectedDataset) -> None:
+def _require_same_work(output: OutputFolder, manifest: Manifest, source: Dataset) -> None:
     """Raises `DatasetError` if the work folder belongs to another dataset or other code."""
     if count_episodes(output.work) == 0 and is_free(output.root):
         return
     require_same(read_manifest(output.work / MANIFEST, manifest.spec.environment.assets), manifest, output.work)
-    source = output.work / SOURCE
-    if not source.exists() or source.read_text() != identity(dataset.source.root):
+    stored = output.work / SOURCE
+    if not stored.exists() or stored.read_text() != identity(source.root):
         raise DatasetError(
             "Pictures of another dataset are in the work folder.",
             got=output.work,
@@ -157,41 +152,39 @@ def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
     output.discard()
 
 
-def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
-    features = Dataset(root).features
-    if schema.FRONT_IMAGE in features or schema.JOINTS not in features:
-        lacks = "has images already" if schema.FRONT_IMAGE in features else f"lacks {schema.JOINTS}"
+def _open(root: Path, assets: str | Path | None) -> tuple[Dataset, Manifest]:
+    dataset = Dataset(root)
+    if schema.FRONT_IMAGE in dataset.features or schema.JOINTS not in dataset.features:
+        lacks = "has images already" if schema.FRONT_IMAGE in dataset.features else f"lacks {schema.JOINTS}"
         raise DatasetError(
             "No pictures can be added to this dataset.",
             got=f"{root} {lacks}",
             allowed="one made by `adamanip collect --no-images`",
             hint="use another dataset",
         )
-    return CollectedDataset.open(root, assets)
+    return dataset, dataset.manifest(assets)
 
 
-def _pictured(source: CollectedDataset, make_env: EnvFactory) -> Manifest:
+def _pictured(before: Manifest, make_env: EnvFactory) -> Manifest:
     """Returns the manifest of the dataset with images; raises `DatasetError` if its scenes would differ now."""
-    before = source.manifest
     spec = replace(before.spec, environment=before.spec.environment.changed(observe_images=True))
     with contextlib.closing(make_env(spec.environment_of(spec.categories[0]))) as env:
-        found = env.software_versions()
-    changed = [part for part in differing_parts(before.versions, found) if part != "renderer"]
+        versions = env.software_versions()
+    changed = [part for part in differing_parts(before.versions, versions) if part != "renderer"]
     if changed:
         raise DatasetError(
             f"The dataset was recorded with other versions: {', '.join(changed)} differ.",
-            got="; ".join(f"{name} = {found.get(name)}" for name in changed),
+            got="; ".join(f"{name} = {versions.get(name)}" for name in changed),
             allowed="; ".join(f"{name} = {before.versions.get(name)}" for name in changed),
             hint="install the versions of the recording: others may make other scenes from its seeds",
         )
-    return replace(before, spec=spec, versions=found)
+    return replace(before, spec=spec, versions=versions)
 
 
-def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: int) -> RecordedEpisode:
+def _with_images(env: SimulatedEnvironment, episode: RecordedEpisode) -> RecordedEpisode:
     """Returns an episode with images for all its rows."""
-    episode = source.episode(number)
     record, joints = episode.record, episode.columns[schema.JOINTS]
-    episode.reset(env)
+    reset_scene(env, record["object_id"], record["seed"], record["hidden_overrides"])
     # A late start begins in another state than its scene.
     at_start = record["late"] or bool(np.abs(env.joints() - joints[0]).max() <= TOLERANCE)
     if env.camera_parameters() != record["camera"] or not at_start:
@@ -201,7 +194,7 @@ def _with_images(env: SimulatedEnvironment, source: CollectedDataset, number: in
             allowed="the recorded camera and joints",
             hint="use the code and versions of the recording",
         )
-    pictures = [env.pictures_at(each) for each in joints]
-    images = {image_column(name): np.stack([each[name] for each in pictures]) for name in pictures[0]}
+    pictures = [env.pictures_at(row) for row in joints]
+    images = {image_column(name): np.stack([picture[name] for picture in pictures]) for name in pictures[0]}
     versions = {**env.software_versions(), "cpu": cpu_model()}
     return RecordedEpisode({**episode.columns, **images}, {**record, "versions": versions})

@@ -11,18 +11,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.collection.collected_dataset import CollectedDataset, CollectedEpisode
-from lerobot_adamanip.collection.record import EnvFactory, Environments
+from lerobot_adamanip.collection.record import EnvFactory, Environments, reset_scene
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.datasets.check.findings import Progress as CheckProgress
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
+from lerobot_adamanip.datasets.episode import read_start
 from lerobot_adamanip.datasets.manifest import Manifest, asset_hash, differing_parts
 from lerobot_adamanip.datasets.opening import as_typed
+from lerobot_adamanip.datasets.shards import RecordedEpisode
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import write_video
 
 Picture = NDArray[np.uint8]
@@ -86,107 +87,17 @@ def replay(
         DatasetError: the dataset is missing, incomplete or damaged.
         ConfigurationError: the episode does not exist.
     """
-    dataset = _open(Path(root), assets)
-    with Environments(make_env, dataset.manifest.spec) as environments:
-        result, pictures = _replayed(dataset, episode, environments, assets, progress, look=video is not None)
-    if video is not None:
-        _write_video(video, dataset, episode, pictures)
+    dataset, manifest = _open(Path(root), assets)
+    pictures: list[Picture] | None = None if video is None else []
+    with Environments(make_env, manifest.spec) as environments:
+        result = _replay(dataset, manifest, episode, environments, progress=progress, pictures=pictures)
+    if video is not None and pictures is not None:
+        if schema.FRONT_IMAGE in dataset.features:
+            rows = open_dataset(dataset.root, episodes=[episode], video_backend="pyav", return_uint8=True)
+            recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
+            pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]
+        write_video(video, pictures, schema.FPS)
     return result
-
-
-def _replayed(
-    dataset: CollectedDataset,
-    episode: int,
-    environments: Environments,
-    assets: str | Path | None,
-    progress: Progress = lambda done, total: None,
-    *,
-    look: bool = False,
-) -> tuple[ReplayResult, list[Picture]]:
-    """Replays one episode of an open dataset; returns the comparison, and the pictures if ``look``."""
-    if not 0 <= episode < len(dataset.rows):
-        raise ConfigurationError(
-            "No such episode.", got=episode, allowed=f"0 to {len(dataset.rows) - 1}", hint="--episode 0"
-        )
-    recorded = dataset.episode(episode)
-    object_id = recorded.record["object_id"]
-    _require_content(dataset.manifest, object_id, assets)
-    env = environments.of(category_of(object_id))
-    changed = differing_parts(dataset.manifest.versions, env.software_versions())
-    seen, pictures, success = _run(env, recorded, progress, look=look)
-    result = ReplayResult(
-        episode=episode,
-        object_id=recorded.record["object_id"],
-        seed=recorded.record["seed"],
-        key_frames=len(recorded.columns[schema.ACTION]) - 1,
-        replayed=len(seen) - 1,
-        differences={
-            key: float(max(np.abs(frame[key] - recorded.columns[key][t]).max() for t, frame in enumerate(seen)))
-            for key in _COMPARED
-        },
-        success=success,
-        recorded_success=recorded.record["success"],
-        changed=changed,
-    )
-    return result, pictures
-
-
-def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
-    Dataset(root)
-    if not manifest_path(root).exists():
-        raise DatasetError(
-            "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
-            got=f"{as_typed(root.absolute())}, without meta/collection.json",
-            allowed="a dataset of `adamanip collect`, or a part of one",
-            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())} --out episode.png",
-        )
-    return CollectedDataset.open(root, assets)
-
-
-def _write_video(video: str | Path, dataset: CollectedDataset, episode: int, pictures: list[Picture]) -> None:
-    if schema.FRONT_IMAGE in dataset.source.features:
-        rows = open_dataset(dataset.source.root, episodes=[episode], video_backend="pyav", return_uint8=True)
-        recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
-        pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]
-    write_video(video, pictures, schema.FPS)
-
-
-def _require_content(manifest: Manifest, object_id: str, assets: str | Path | None) -> None:
-    if assets is not None and asset_hash(assets, object_id) != manifest.external_assets[object_id]:
-        raise DatasetError(
-            "The external asset differs from the recorded one.",
-            got=f"{object_id} in {assets}",
-            allowed="a folder with the same content",
-            hint="--assets DIR with the folder of the recording",
-        )
-
-
-def _run(
-    env: SimulatedEnvironment, recorded: CollectedEpisode, progress: Progress, *, look: bool
-) -> tuple[list[Columns], list[Picture], bool]:
-    """Replays an episode until it ends.
-
-    Returns:
-        Observations before each action and after the last; pictures (H, W, 3) of these moments, if ``look``; success.
-    """
-    observation = recorded.reset(env)
-    for action in recorded.prefix:
-        env.drive(action)
-    if len(recorded.prefix):
-        env.restart_episode()
-        observation = env.observe()
-    actions = recorded.columns[schema.EXECUTED][:-1]  # the terminal row's action was never sent
-    seen, success = [observation_columns(observation)], False
-    pictures = [env.render()] if look else []
-    for number, action in enumerate(actions):
-        observation, _, _, truncated, info = env.step(action)
-        seen.append(observation_columns(observation))
-        pictures += [env.render()] if look else []
-        success = success or bool(info["is_success"])
-        progress(number + 1, len(actions))
-        if truncated:
-            break
-    return seen, pictures, success
 
 
 def check_replays(
@@ -208,14 +119,101 @@ def check_replays(
         assets: folder of external assets, if the dataset uses any.
         progress: called with the stage ``replay``, finished and total episodes.
     """
-    report, chosen, dataset = Report(), list(episodes), _open(root, assets)
-    with Environments(make_env, dataset.manifest.spec) as environments:
-        for done, number in enumerate(chosen, start=1):
-            result, _ = _replayed(dataset, number, environments, assets)
+    report, indices, (dataset, manifest) = Report(), list(episodes), _open(root, assets)
+    with Environments(make_env, manifest.spec) as environments:
+        for done, index in enumerate(indices, start=1):
+            result = _replay(dataset, manifest, index, environments)
             if not result.agrees(tolerance):
                 largest = max(result.differences, key=lambda key: result.differences[key])
                 text = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
                 changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
-                report.add("replay", text + changed, None, number)
-            progress("replay", done, len(chosen))
+                report.add("replay", text + changed, None, index)
+            progress("replay", done, len(indices))
     return report
+
+
+def _open(root: Path, assets: str | Path | None) -> tuple[Dataset, Manifest]:
+    dataset = Dataset(root)
+    if not manifest_path(root).exists():
+        raise DatasetError(
+            "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
+            got=f"{as_typed(root.absolute())}, without meta/collection.json",
+            allowed="a dataset of `adamanip collect`, or a part of one",
+            hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())} --out episode.png",
+        )
+    return dataset, dataset.manifest(assets)
+
+
+def _replay(
+    dataset: Dataset,
+    manifest: Manifest,
+    index: int,
+    environments: Environments,
+    *,
+    progress: Progress = lambda done, total: None,
+    pictures: list[Picture] | None = None,
+) -> ReplayResult:
+    """Replays one episode of an open dataset; returns the comparison, and appends to ``pictures``."""
+    episode = dataset.recorded(index, manifest)
+    object_id, assets = episode.record["object_id"], manifest.spec.environment.assets
+    if assets is not None and asset_hash(assets, object_id) != manifest.external_assets[object_id]:
+        raise DatasetError(
+            "The external asset differs from the recorded one.",
+            got=f"{object_id} in {assets}",
+            allowed="a folder with the same content",
+            hint="--assets DIR with the folder of the recording",
+        )
+    env = environments.of(category_of(object_id))
+    observations, success = _run(env, episode, progress, pictures)
+    return ReplayResult(
+        episode=index,
+        object_id=object_id,
+        seed=episode.record["seed"],
+        key_frames=len(episode) - 1,
+        replayed=len(observations) - 1,
+        differences={
+            key: float(max(np.abs(frame[key] - episode.columns[key][t]).max() for t, frame in enumerate(observations)))
+            for key in _COMPARED
+        },
+        success=success,
+        recorded_success=episode.record["success"],
+        changed=differing_parts(manifest.versions, env.software_versions()),
+    )
+
+
+def _run(
+    env: SimulatedEnvironment, episode: RecordedEpisode, progress: Progress, pictures: list[Picture] | None
+) -> tuple[list[Columns], bool]:
+    """Replays an episode until it ends.
+
+    Args:
+        env: environment of the episode's category.
+        episode: the episode.
+        progress: called with finished and total key frames.
+        pictures: for a picture (H, W, 3) before each action and after the last; None for none.
+
+    Returns:
+        Observations of these moments, and the success.
+    """
+    record = episode.record
+    observation = reset_scene(env, record["object_id"], record["seed"], record["hidden_overrides"])
+    prefix = read_start(record["start"])
+    for action in prefix:
+        env.drive(action)
+    if len(prefix):
+        env.restart_episode()
+        observation = env.observe()
+    actions = episode.columns[schema.EXECUTED][:-1]  # the terminal row's action was never sent
+    observations, success = [observation_columns(observation)], False
+    if pictures is not None:
+        pictures.append(env.render())
+    for number, action in enumerate(actions):
+        observation, _, _, truncated, info = env.step(action)
+        observations.append(observation_columns(observation))
+        if pictures is not None:
+            pictures.append(env.render())
+        success = success or bool(info["is_success"])
+        progress(number + 1, len(actions))
+        if truncated:
+            break
+    return observations, success

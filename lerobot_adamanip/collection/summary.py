@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -80,67 +79,59 @@ class CollectSummary:
         return 60.0 * self.recorded / self.recording_seconds if self.recorded else 0.0
 
 
-@dataclass(frozen=True)
-class Run:
-    """A `collect` run.
+def summarize(root: Path, spec: CollectionSpec, results: Results, **facts: Any) -> CollectSummary:
+    """Returns the summary of a run and its finished dataset.
 
-    Attributes:
-        begin: start time, from `time.monotonic` [s].
-        results: results of its items.
-        recording_seconds: recording time.
-        failures: one line per given-up item.
+    Args:
+        root: root folder of the dataset.
+        spec: specification of the collection.
+        results: of the run's items.
+        facts: ``seconds``, ``recording_seconds`` and ``failures`` of the run.
     """
-
-    begin: float
-    results: Results = field(default_factory=list)
-    recording_seconds: float = 0.0
-    failures: tuple[str, ...] = ()
-
-    def summarize(self, root: Path, spec: CollectionSpec) -> CollectSummary:
-        """Returns the summary of this run and a finished dataset."""
-        rows = Dataset(root).table.select(["object_id", "attempts", "length", "success"]).to_pylist()
-        counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
-        return CollectSummary(
-            **self._facts(root),
-            episodes=len(rows),
-            attempted=counts.attempted,
-            given_up=counts.given_up,
-            success_rate=sum(row["success"] for row in rows) / max(1, counts.attempted),
-            categories={name: _of_category(name, rows, self.results) for name in spec.categories},
-        )
-
-    def summarize_part(self, paths: CollectionPaths, items: list[EpisodeSpec]) -> CollectSummary:
-        """Returns the summary of this run and a part's episode files; a part has no dataset."""
-        kept = sum((paths.episodes / item.file_name).exists() for item in items)
-        facts = self._facts(paths.partial)
-        succeeded = sum(attempt.success for result in self.results for attempt in result.value.attempts)
-        return CollectSummary(
-            **facts,
-            episodes=kept,
-            attempted=facts["attempts"],
-            given_up=len(items) - kept,
-            success_rate=succeeded / max(1, facts["attempts"]),
-        )
-
-    def _facts(self, folder: Path) -> dict[str, Any]:
-        return {
-            "root": str(folder),
-            "recorded": sum(result.value.kept for result in self.results),
-            "attempts": sum(len(result.value.attempts) for result in self.results),
-            "seconds": time.monotonic() - self.begin,
-            "recording_seconds": self.recording_seconds,
-            "bytes": files.tree_bytes(folder),
-            "failures": self.failures,
-        }
+    rows = Dataset(root).table.select(["object_id", "attempts", "length", "success"]).to_pylist()
+    counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
+    return CollectSummary(
+        **_run_counts(root, results),
+        **facts,
+        episodes=len(rows),
+        attempted=counts.attempted,
+        given_up=counts.given_up,
+        success_rate=sum(row["success"] for row in rows) / max(1, counts.attempted),
+        categories={name: _category_summary(name, rows, results) for name in spec.categories},
+    )
 
 
-def _of_category(category: str, rows: list[dict[str, Any]], results: Results) -> CategorySummary:
-    mine = [row for row in rows if category_of(row["object_id"]) == category]
-    done = [result for result in results if category_of(result.item.object_id) == category]
+def summarize_part(paths: CollectionPaths, items: list[EpisodeSpec], results: Results, **facts: Any) -> CollectSummary:
+    """Returns the summary of a run and a part's episode files, as `summarize`; a part has no dataset."""
+    kept = sum((paths.episodes / item.file_name).exists() for item in items)
+    counts = _run_counts(paths.partial, results)
+    succeeded = sum(attempt.success for result in results for attempt in result.value.attempts)
+    return CollectSummary(
+        **counts,
+        **facts,
+        episodes=kept,
+        attempted=counts["attempts"],
+        given_up=len(items) - kept,
+        success_rate=succeeded / max(1, counts["attempts"]),
+    )
+
+
+def _run_counts(folder: Path, results: Results) -> dict[str, Any]:
+    return {
+        "root": str(folder),
+        "recorded": sum(result.value.kept for result in results),
+        "attempts": sum(len(result.value.attempts) for result in results),
+        "bytes": files.tree_bytes(folder),
+    }
+
+
+def _category_summary(category: str, rows: list[dict[str, Any]], results: Results) -> CategorySummary:
+    rows = [row for row in rows if category_of(row["object_id"]) == category]
+    results = [result for result in results if category_of(result.item.object_id) == category]
     return CategorySummary(
-        episodes=len(mine),
-        attempts=sum(int(row["attempts"]) for row in mine),
-        mean_key_frames=sum(int(row["length"]) - 1 for row in mine) / max(1, len(mine)),
-        recorded=sum(each.value.kept for each in done),
-        worker_seconds=sum(each.seconds for each in done),
+        episodes=len(rows),
+        attempts=sum(int(row["attempts"]) for row in rows),
+        mean_key_frames=sum(int(row["length"]) - 1 for row in rows) / max(1, len(rows)),
+        recorded=sum(result.value.kept for result in results),
+        worker_seconds=sum(result.seconds for result in results),
     )

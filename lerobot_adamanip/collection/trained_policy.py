@@ -1,23 +1,42 @@
-"""Runner of a trained LeRobot policy in a `KeyframeEnvironment`, outside of `lerobot-eval`."""
+"""Runner of a trained LeRobot policy in a `KeyframeEnvironment`, outside of `lerobot-eval`, and checks of its files."""
 
 from __future__ import annotations
 
 import hashlib
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
-from lerobot_adamanip.collection.pipelines import pipeline_steps
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.observation import Observation, observation_columns
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
+
+if TYPE_CHECKING:
+    import torch  # imported where it is used: `adamanip push` checks pipelines without it
 
 Action = NDArray[np.float32]
 _ACTING = ("config.json", "model.safetensors", "policy_*processor*")
 """Checkpoint files that affect its actions."""
+PIPELINES = ("policy_preprocessor.json", "policy_postprocessor.json")
+
+
+def pipeline_steps(folder: Path) -> list[dict[str, Any]]:
+    """Returns the steps of both pipelines of a checkpoint.
+
+    Raises:
+        ValueError: a file is damaged, or a step is not a registered one. LeRobot 0.6.1 imports and calls any function
+            that a step names as ``class`` (https://github.com/huggingface/lerobot/issues/4219).
+        OSError: a file is missing.
+    """
+    steps = [step for name in PIPELINES for step in json_fields.read(folder / name)["steps"]]
+    for step in steps:
+        if not isinstance(step.get("registry_name"), str):
+            named = str(step.get("class"))[:80]
+            raise ValueError(f"a step of a pipeline has no registry_name, but names the class {named!r} to be called")
+    return steps
 
 
 def policy_hash(path: Path) -> str:
@@ -79,6 +98,8 @@ class TrainedPolicy:
 
     def reset(self, seed: int) -> None:
         """Starts an episode; its random numbers follow from the seed."""
+        import torch
+
         torch.manual_seed(seed % 2**63)
         self._policy.reset()
         for pipeline in (self._before, self._after):
@@ -86,12 +107,16 @@ class TrainedPolicy:
 
     def act(self, observation: Observation, instruction: str) -> Action:
         """Returns the (10,) action and adds it to the policy's history, if it has one."""
+        import torch
+
         with torch.inference_mode():
             action = self._after(self._policy.select_action(self._before(_batch(observation, instruction))))
         return np.asarray(action.squeeze(0).cpu(), np.float32)
 
     def executed(self, action: Action) -> None:
         """Replaces the latest action in the policy's history, if it has one."""
+        import torch
+
         if hasattr(self._policy, "replace_latest"):
             self._policy.replace_latest(self._normalized(torch.from_numpy(action)[None]))
 
@@ -110,6 +135,8 @@ class TrainedPolicy:
 
 def _batch(observation: Observation, instruction: str) -> dict[str, Any]:
     """Returns an observation as a batch of size one, in the form of a dataset row."""
+    import torch
+
     batch: dict[str, Any] = {"task": [instruction]}
     for key, value in observation_columns(observation).items():
         tensor = torch.from_numpy(value)[None]

@@ -59,7 +59,8 @@ def all_attempts(
     for item in items:
         if record := kept.get((item.slot, item.object_id)):
             reason = SUCCESS if record["success"] else "corrected without success"
-            tried = [*record["failures"], {**record, "reason": reason}]
+            key_frames = record["episode_record"]["key_frames"]
+            tried = [*record["failures"], {**record, "key_frames": key_frames, "reason": reason}]
         else:
             path = paths.attempts / item.file_name.replace(".safetensors", ".json")
             tried = json_fields.read(path) if path.exists() else []

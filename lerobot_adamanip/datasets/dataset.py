@@ -321,7 +321,7 @@ class Dataset:
                 values = found[key].astype(feature["dtype"], copy=False)
                 columns[key] = values.reshape(episode.length, *feature["shape"])
             task = self.tasks[int(found["task_index"][0])]
-            return RecordedEpisode(columns, {**vars(description), "attempts": description.attempts, "task": task})
+            return RecordedEpisode(columns, description.record(task))
         except (ValueError, KeyError, TypeError) as error:
             raise DatasetError(
                 "An episode of the dataset has invalid values.",

@@ -116,8 +116,12 @@ class EpisodeDescription:
 
     @property
     def attempts(self) -> int:
-        """Number of attempts at this episode, with this one."""
-        return self.attempt + 1
+        """Number of attempts at this episode, with this one; 1 for an episode of the dataset of failed ones."""
+        return len(self.failures) + 1
+
+    def record(self, task: str) -> dict[str, Any]:
+        """Returns its fields as `RecordedEpisode.record`, with the instruction ``task``."""
+        return {**vars(self), "attempts": self.attempts, "task": task}
 
     def columns(self) -> dict[str, Any]:
         """Returns the values of its columns in ``meta/episodes``, in order; `JSON_COLUMNS` hold JSON."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from safetensors import SafetensorError, safe_open
 
-from lerobot_adamanip.collection.pipelines import PIPELINES, pipeline_steps
+from lerobot_adamanip.collection.trained_policy import PIPELINES, pipeline_steps
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.cards import check_card, dataset_card
 from lerobot_adamanip.datasets.check.dataset import check

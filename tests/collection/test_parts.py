@@ -12,7 +12,7 @@ from demos_helpers import NoWorkers, fakes, make_spec, patiently, same_bytes
 from lerobot_adamanip.cli.main import main, parse
 from lerobot_adamanip.collection import record
 from lerobot_adamanip.collection.collect import collect
-from lerobot_adamanip.collection.parts import Part
+from lerobot_adamanip.collection.partial import Part
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.manifest import read_manifest
 from lerobot_adamanip.util import jobs

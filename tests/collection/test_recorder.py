@@ -7,12 +7,11 @@ import pytest
 from demos_fake_env import FakeEnv
 from demos_helpers import fakes, make_spec
 
-from lerobot_adamanip.collection.recorder import EpisodeRecorder
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.episode.rollout import KeyFrame, rollout
+from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, rollout
 from lerobot_adamanip.util.errors import UnreachableError
 
 PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY)

@@ -17,7 +17,7 @@ import pytest
 from demos_helpers import another, fakes, make_spec, patiently, same_bytes
 
 from lerobot_adamanip.collection.collect import CollectOptions, collect
-from lerobot_adamanip.collection.parts import Part
+from lerobot_adamanip.collection.partial import Part
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets import output_folder
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths

@@ -219,10 +219,9 @@ def _rows() -> Values:
 
 
 def _recorder() -> Any:
-    from lerobot_adamanip.collection.recorder import EpisodeRecorder
     from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, Outcome, Phase
     from lerobot_adamanip.contract.rotations import rotation_about, transform
-    from lerobot_adamanip.episode.rollout import KeyFrame
+    from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame
 
     positions = iter(_ramp(len(schema.JOINT_NAMES), step) for step in range(9))
     made = EpisodeRecorder(lambda: next(positions))
