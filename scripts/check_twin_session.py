@@ -33,7 +33,7 @@ from lerobot_adamanip.evaluation.rates import wilson_interval
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, SENT_NAMES
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.json_fields import parse, read
-from lerobot_policy_adamanip.common.recorded_rows import read_columns
+from lerobot_policy_adamanip.common.inputs import read_columns
 
 SHARE_OPENED, SHARE_REPLAYED = 0.9, 0.8
 """Minimum shares of opened doors: in recordings, and in converted episodes played again."""

@@ -197,7 +197,7 @@ def test_motion_limits_are_the_codes() -> None:
 
 def test_numbers_in_the_text_are_the_codes() -> None:
     from lerobot_adamanip.datasets.collection_spec import DEMO_SEED_START
-    from lerobot_policy_adamanip.dp3_adaptive.presets import PRESETS
+    from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import PRESETS
 
     concepts, policy = ((ROOT / "docs" / name).read_text(encoding="utf-8") for name in ("concepts.md", "policy.md"))
     assert f"{DEMO_SEED_START:,}" in concepts

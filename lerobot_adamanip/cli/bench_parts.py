@@ -152,10 +152,11 @@ class Policies:
     def _policy(self, preset: str) -> tuple[Any, Any, Any, Any]:
         """Returns policy, preprocessor, postprocessor and dataset as created by lerobot-train."""
         from lerobot_policy_adamanip import DP3AdaptiveConfig
+        from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
         meta = LeRobotDatasetMetadata(f"local/{self.root.name}", root=self.root)
         # One draw: an untrained policy would reject most of its draws, a trained one rejects one of 25 (doors).
-        config = DP3AdaptiveConfig(preset=preset, device=self.device, num_draws=1)
+        config = DP3AdaptiveConfig(preset=preset, device=self.device, inference=Inference(redraw=False))
         policy = make_policy(config, ds_meta=meta)
         processors = make_pre_post_processors(config, dataset_stats=meta.stats)
         return policy, *processors, open_dataset(self.root, delta_timestamps=resolve_delta_timestamps(config, meta))

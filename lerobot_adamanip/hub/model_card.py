@@ -41,7 +41,6 @@ _ROWS = {
     "n_action_steps": ("executes", "{} before it looks again"),
     "encoder": ("encoder", "{}"),
     "vision_backbone": ("encoder", "{}"),
-    "head": ("head", "{}"),
     "num_anchors": ("chooses among", "{} motions"),
     "num_refinements": ("refines poses", "{} times"),
     "noise_scheduler_type": ("sampler", "{}"),
@@ -49,7 +48,7 @@ _ROWS = {
 }
 """Policy option -> its name and format on a card."""
 _UNUSED = {"diffusion": ("num_anchors",)}
-"""Policy head -> options that a card leaves out."""
+"""Preset of dp3_adaptive -> options that a card leaves out."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -136,7 +135,9 @@ def _facts(checkpoint: Checkpoint) -> str:
     config = checkpoint.config
     rows = [(f"input `{key}`", _feature(key, each)) for key, each in (config.get("input_features") or {}).items()]
     rows += [(f"output `{key}`", _feature(key, each)) for key, each in (config.get("output_features") or {}).items()]
-    used = [key for key in _ROWS if config.get(key) is not None and key not in _UNUSED.get(str(config.get("head")), ())]
+    used = [
+        key for key in _ROWS if config.get(key) is not None and key not in _UNUSED.get(str(config.get("preset")), ())
+    ]
     rows += [(_ROWS[key][0], _ROWS[key][1].format(config[key])) for key in used]
     averaged = "" if checkpoint.updates is None else f"; averaged over {checkpoint.updates} updates"
     rows.append(("size", f"{checkpoint.parameters / 1e6:.1f} M parameters{averaged}"))

@@ -21,7 +21,7 @@ from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.episode.rollout import KeyFrame
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.recorded_rows import read_recorded_rows
+from lerobot_policy_adamanip.common.inputs import read_recorded_rows
 
 POLICY = "0123456789abcdef" * 2
 Refuses = Callable[[type, Callable[[], Any]], str]

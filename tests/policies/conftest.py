@@ -20,7 +20,7 @@ TOOL_TINY: dict[str, Any] = {
     "coarse_points": 32, "refinement_points": 16, "num_refinements": 2,
 }  # fmt: skip
 UNET_TINY: dict[str, Any] = {
-    "down_dims": (32, 64), "diffusion_step_embed_dim": 16, "num_train_timesteps": 10, "num_inference_steps": 2,
+    "down_dims": (32, 64), "num_inference_steps": 2,
 }  # fmt: skip
 BASE_TINY: dict[str, Any] = {**COMMON_TINY, **UNET_TINY, "num_points": 32}
 DP3_TINY: dict[str, dict[str, Any]] = {

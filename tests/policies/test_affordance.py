@@ -10,6 +10,7 @@ from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip import VatMartConfig
 from lerobot_policy_adamanip.affordance.demonstrations import find_contacts
+from lerobot_policy_adamanip.affordance.losses import valid_rows, weighted_mean
 from lerobot_policy_adamanip.affordance.networks import (
     ConditionalVAE,
     PlaceFeatures,
@@ -22,16 +23,14 @@ from lerobot_policy_adamanip.affordance.networks import (
 from lerobot_policy_adamanip.affordance.plans import (
     PlanQueue,
     approach,
-    backed_off,
     decode_grasp,
     encode_grasp,
     holds_something,
     let_go,
     stacked,
     taking_hold,
-    with_gripper,
 )
-from lerobot_policy_adamanip.common.losses import valid_rows, weighted_mean
+from lerobot_policy_adamanip.common.geometry import backed_off, with_gripper
 
 
 def some_poses(count: int, gripper: float = 1.0) -> torch.Tensor:
@@ -144,7 +143,9 @@ def test_a_part_is_grasped_or_pushed_by_a_hand_that_has_let_go() -> None:
     torch.testing.assert_close(taking_hold(empty, grasp, pushed), approach(grasp))
     torch.testing.assert_close(taking_hold(held, grasp, pushed), torch.cat([let_go(held), approach(grasp)]))
     closed = with_gripper(grasp, 0.0)
-    torch.testing.assert_close(taking_hold(empty, closed, pushed), torch.stack([backed_off(closed), closed, pushed]))
+    torch.testing.assert_close(
+        taking_hold(empty, closed, pushed), torch.stack([backed_off(closed, PRE_GRASP), closed, pushed])
+    )
 
 
 def test_a_push_is_a_contact_whose_first_motion_is_the_push() -> None:

@@ -54,8 +54,11 @@ def test_lerobots_rollout_and_policy_server_refuse_the_type(make: Any, tmp_path:
             build_rollout_context(wanted, Event())
 
 
-def test_without_a_history_of_actions_chunks_of_any_observations_are_given(make: Any, observations: Any) -> None:
-    policy, before = make("dp3_adaptive", preset="dp3", n_obs_steps=2, n_action_history_steps=0)
+@pytest.mark.parametrize("options", [{"preset": "dp3", "n_obs_steps": 2}, {"preset": "fast"}], ids=str)
+def test_without_a_history_of_actions_chunks_of_any_observations_are_given(
+    make: Any, observations: Any, options: dict[str, Any]
+) -> None:
+    policy, before = make("dp3_adaptive", n_action_history_steps=0, **options)
     for observation in observations:
         chunk = policy.predict_action_chunk(before(observation))
         assert chunk.shape == (1, policy.config.horizon, 10)
@@ -77,9 +80,3 @@ def test_chunks_are_given_between_selected_actions_and_refused_without(
     for observation in later:  # again and again: a server logs the error and asks once more
         with pytest.raises(ConfigurationError, match=r"history(.|\n)*try: +lerobot-rollout --inference.type=sync"):
             policy.predict_action_chunk(observation)
-
-
-def test_a_policy_without_history_gives_chunks_of_any_observation(make: Any, observations: Any) -> None:
-    policy, before = make("dp3_adaptive", n_action_history_steps=0, n_obs_steps=1)
-    for observation in observations:
-        policy.predict_action_chunk(before(dict(observation)))

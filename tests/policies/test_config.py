@@ -23,7 +23,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_policy_adamanip import AdaAffordConfig, DP3AdaptiveConfig, SamplingConfig, VatMartConfig
 from lerobot_policy_adamanip.common.config import FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.presets import FIXED, OPTIONS, PRESETS
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import OPTIONS, PRESETS, TRAIN_TIMESTEPS, Inference
 
 Refuses = Callable[[type[AdaManipError], Callable[[], Any]], str]
 CONFIGS: tuple[Any, ...] = (VatMartConfig, SamplingConfig, AdaAffordConfig, DP3AdaptiveConfig)
@@ -32,23 +32,20 @@ every_method = pytest.mark.parametrize("method", [*AFFORDANCE, "dp3_adaptive"])
 DP3_TINY: dict[str, Any] = {
     "num_points": 120, "encoder_dims": (16,), "preset": "fast", "device": "cpu", "push_to_hub": False,
 }  # fmt: skip
-MEAN_STD = {"STATE": NormalizationMode.MEAN_STD, "ACTION": NormalizationMode.IDENTITY}
 WRONG_UNET: list[dict[str, Any]] = [
     {"horizon": 3}, {"horizon": 0}, {"n_action_steps": 5}, {"down_dims": (32, 32, 64, 64)}, {"down_dims": (30, 64)},
-    {"down_dims": ()}, {"kernel_size": 4}, {"num_inference_steps": 101}, {"num_inference_steps": 0},
+    {"down_dims": ()}, {"num_inference_steps": 101}, {"num_inference_steps": 0}, {"noise_scheduler_type": "nonsense"},
 ]  # fmt: skip
 WRONG: dict[str, list[dict[str, Any]]] = {
     "affordance": [
         {"num_points": 0}, {"feature_dim": 0}, {"patch_radius": 0.0}, {"encoder_dims": ()}, {"context_points": 121},
-        {"n_obs_steps": 2}, {"normalization_mapping": MEAN_STD},
+        {"n_obs_steps": 2},
     ],
     "dp3_adaptive": [
         {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
-        {"num_draws": 0}, {"num_refinements": -1},
+        {"num_refinements": -1}, {"inference": Inference(memory=False), "preset": "dp3"},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
-        {"n_obs_steps": 2, "preset": "diffusion"}, {"tcp_relative": True},
-        *({name: "nonsense"} for name in ("preset", "encoder", "head", "frame")),
-        *({name: "nonsense", "preset": "dp3"} for name in ("proprioception", "noise_scheduler_type")),
+        {"n_obs_steps": 2, "preset": "diffusion"}, {"preset": "nonsense"},
         *({**wrong, "preset": preset} for preset in ("diffusion", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip
@@ -59,9 +56,8 @@ WRONG_FEATURES: list[tuple[dict[str, Any], str]] = [
 ]  # fmt: skip
 
 PAPER = {
-    "num_points": 4096, "encoder": "pointnet2", "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
-    "noise_scheduler_type": "DDPM", "num_train_timesteps": 100, "num_inference_steps": 100,
-    "optimizer_lr": 1e-4, "optimizer_weight_decay": 1e-6,
+    "num_points": 4096, "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
+    "noise_scheduler_type": "DDPM", "num_inference_steps": 100, "optimizer_lr": 1e-4,
 }  # fmt: skip
 
 
@@ -165,9 +161,7 @@ def test_a_preset_fills_what_was_left_open_and_nothing_else(preset: str) -> None
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_preset_refuses_what_it_does_not_use_and_names_one_that_does(refuses: Refuses, preset: str) -> None:
     values = {name: value for used in PRESETS.values() for name, value in used.items()}
-    fixed = {(name, used[name]) for name in FIXED for used in PRESETS.values()}
-    unused = {(name, values[name]) for name in OPTIONS - PRESETS[preset].keys()} | fixed - PRESETS[preset].items()
-    for name, value in unused:
+    for name, value in [(name, values[name]) for name in OPTIONS - PRESETS[preset].keys()]:
         make = functools.partial(DP3AdaptiveConfig, device="cpu", **{name: value})
         message = refuses(AdaManipError, functools.partial(make, preset=preset))
         assert f"--policy.{name}" in message
@@ -178,6 +172,7 @@ def test_a_preset_refuses_what_it_does_not_use_and_names_one_that_does(refuses: 
 def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
     paper = DP3AdaptiveConfig(preset="paper", device="cpu")
     assert {name: getattr(paper, name) for name in PAPER} == PAPER
+    assert (paper.method.encoder, paper.method.weight_decay, TRAIN_TIMESTEPS) == ("pointnet2", 1e-6, 100)
     dp3 = DP3AdaptiveConfig(preset="dp3", device="cpu")
     assert (dp3.n_obs_steps, dp3.horizon, dp3.n_action_steps, dp3.n_action_history_steps) == (2, 4, 3, 0)
     assert (dp3.observation_delta_indices, dp3.action_delta_indices) == ([-1, 0], None)
@@ -186,7 +181,8 @@ def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
-    options: dict[str, Any] = {"encoder_dims": (8, 16), "optimizer_betas": (0.8, 0.9)}
+    rules = Inference(memory=False) if preset in ("fast", "diffusion") else Inference()
+    options: dict[str, Any] = {"encoder_dims": (8, 16), "inference": rules}
     config = DP3AdaptiveConfig(preset=preset, num_points=77, use_effort=True, device="cpu", tags=["a"], **options)
     shapes = {schema.POINT_CLOUD: (77, 3), schema.STATE: (24,), schema.EFFORT: (7,)}
     config.input_features = {key: PolicyFeature(FeatureType.STATE, shape) for key, shape in shapes.items()}
@@ -200,17 +196,11 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
     changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--encoder_out_dim=7"])
     assert (changed.encoder_out_dim, changed.num_points) == (7, 77)
     other = next(name for name in PRESETS if name != preset)
+    if preset in ("fast", "diffusion"):
+        switched = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--inference.no_repeat=false"])
+        assert switched.inference == Inference(memory=False, no_repeat=False)
     with pytest.raises(AdaManipError, match=rf"(?s)checkpoint's preset cannot be changed.*preset={other}"):
         PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=[f"--preset={other}"])
-
-
-def test_tool_frames_are_refused_where_they_cannot_be_computed() -> None:
-    mapping = dict.fromkeys(("STATE", "ACTION"), NormalizationMode.MEAN_STD)
-    options: dict[str, Any] = {"device": "cpu", "normalization_mapping": mapping}
-    for preset in ("fast", "diffusion"):
-        with pytest.raises(AdaManipError, match=r"(?s)tool's frame.*IDENTITY.*preset=dp3"):
-            DP3AdaptiveConfig(preset=preset, **options)
-    assert DP3AdaptiveConfig(preset="dp3", **options).normalization_mapping == mapping
 
 
 # Optimizer -----------------------------------------------------------------------------------------------------------

@@ -15,7 +15,7 @@ from lerobot_policy_adamanip.affordance.demonstrations import (
     find_contacts,
     read_demonstrations,
 )
-from lerobot_policy_adamanip.common.recorded_rows import read_columns
+from lerobot_policy_adamanip.common.inputs import read_columns
 
 
 def episode(*key_frames: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:

@@ -11,8 +11,7 @@ import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from toy_demos import REPO_ID, record_toy, toy_world
 
-from lerobot_policy_adamanip.common.recorded_rows import trained_episodes
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import balanced_weights
+from lerobot_policy_adamanip.common.inputs import balanced_weights, trained_episodes
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 TRAINED = [0, 1, 2, 3]

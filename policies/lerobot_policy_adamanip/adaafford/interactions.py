@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,33 +43,6 @@ class InteractionLabels:
     candidates: NDArray[np.int64]
 
 
-@dataclass
-class _Recorded:
-    """Interactions found so far, one entry each."""
-
-    poses: list[tuple[Array, Array, Array]] = field(default_factory=list)
-    results: list[tuple[float, bool, bool]] = field(default_factory=list)
-
-    def add(self, before: Array, command: Array, after: Array, opening: float, *, moved: bool, tried: bool) -> int:
-        """Adds an interaction and returns its number."""
-        self.poses.append((before, command, after))
-        self.results.append((opening, moved, tried))
-        return len(self.poses) - 1
-
-    def labels(self, history: NDArray[np.int64], candidates: NDArray[np.int64]) -> InteractionLabels:
-        results = np.array(self.results, np.float32).reshape(-1, 3)
-        opening, moved, tried = results[:, 0], results[:, 1], results[:, 2] > 0
-        if not (tried & (moved == 0)).any() or not (tried & (moved == 1)).any():
-            raise ConfigurationError(
-                "These demonstrations do not show failed and successful tries.",
-                got=f"{int(tried.sum())} tries, {int((moved[tried] == 0).sum())} of them failed",
-                allowed="demonstrations with failed and with successful tries",
-                hint="adamanip collect DIR --category safe --expert adaptive",
-            )
-        before, command, after = (np.stack(each) for each in zip(*self.poses, strict=True))
-        return InteractionLabels(before, command, after, opening, moved, tried, history, candidates)
-
-
 def label_interactions(demonstrations: Demonstrations, history: int, candidates: int) -> InteractionLabels:
     """Finds interactions, and assigns to each row those that it can learn from.
 
@@ -79,47 +53,56 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     A row keeps the latest ``history`` interactions before it, and up to ``candidates`` with a known result. Raises
     `ConfigurationError` if no try failed, or none moved anything.
     """
-    recorded = _Recorded()
+    recorded: list[_Interaction] = []
     size = 1 + int(demonstrations.index.max())
     past, known = (np.full((size, count), -1, dtype=np.int64) for count in (history, candidates))
     for rows in demonstrations.episodes():
-        made, results = _episode(demonstrations, rows, recorded)
-        stretch = demonstrations.stretches(rows)
+        first, stretch = len(recorded), demonstrations.stretches(rows)
+        recorded += _interactions(demonstrations, rows, stretch)
+        made = list(enumerate(recorded[first:], first))
         for row in range(rows.stop - rows.start - int(demonstrations.final[rows.stop - 1])):
             index = demonstrations.index[rows.start + row]
-            _fill(past[index], [number for number, when in made if when < row][-history:])
-            _fill(known[index], [number for number, when in results if when == stretch[row]][:candidates])
-    return recorded.labels(past, known)
+            earlier = [number for number, each in made if each.row is not None and each.row < row][-history:]
+            fitting = [number for number, each in made if each.stretch == stretch[row]][:candidates]
+            past[index, : len(earlier)], known[index, : len(fitting)] = earlier, fitting
+    moved, tried = (np.array([getattr(each, name) for each in recorded], bool) for name in ("moved", "tried"))
+    if not (tried & ~moved).any() or not (tried & moved).any():
+        raise ConfigurationError(
+            "These demonstrations do not show failed and successful tries.",
+            got=f"{int(tried.sum())} tries, {int((tried & ~moved).sum())} of them failed",
+            allowed="demonstrations with failed and with successful tries",
+            hint="adamanip collect DIR --category safe --expert adaptive",
+        )
+    before, command, after = (np.stack([each.poses[place] for each in recorded]) for place in range(3))
+    opening = np.array([each.opening for each in recorded], np.float32)
+    return InteractionLabels(before, command, after, opening, moved.astype(np.float32), tried, past, known)
 
 
-def _episode(
-    demonstrations: Demonstrations, rows: slice, recorded: _Recorded
-) -> tuple[list[tuple[int, int]], list[tuple[int, int]]]:
-    """Records an episode's interactions."""
-    made: list[tuple[int, int]] = []
-    known: list[tuple[int, int]] = []
-    stretch = demonstrations.stretches(rows)
+@dataclass(frozen=True)
+class _Interaction:
+    """Poses before, sent and after; the row in its episode, None for a way back; the stretch of a known result."""
+
+    poses: tuple[Array, Array, Array]
+    opening: float
+    moved: bool
+    tried: bool
+    row: int | None
+    stretch: int | None
+
+
+def _interactions(demonstrations: Demonstrations, rows: slice, stretch: NDArray[np.int64]) -> Iterator[_Interaction]:
+    """Yields an episode's interactions."""
     for contact in demonstrations.contacts(rows):
         opening = float(contact.grasp[GRIPPER_DIM])
         for row in range(contact.first, min(contact.end, rows.stop - 1)):
             start, reached = demonstrations.poses[row], demonstrations.poses[row + 1]
-            tried, failed = demonstrations.tried[row] >= 0, bool(demonstrations.failed[row])
-            number = recorded.add(
-                start, demonstrations.commands[row], reached, opening, moved=tried and not failed, tried=bool(tried)
-            )
-            made.append((number, row - rows.start))
-            if not tried:
-                continue
-            known.append((number, int(stretch[row - rows.start])))
-            if not failed:
+            tried, failed = bool(demonstrations.tried[row] >= 0), bool(demonstrations.failed[row])
+            place, poses = row - rows.start, (start, demonstrations.commands[row], reached)
+            known = int(stretch[place]) if tried else None
+            yield _Interaction(poses, opening, tried and not failed, tried, place, known)
+            if tried and not failed:
                 closed = np.append(start[:GRIPPER_DIM], np.float32(0.0))
-                back = recorded.add(reached, closed, closed, opening, moved=False, tried=False)
-                known.append((back, int(stretch[row - rows.start]) + 1))
-    return made, known
-
-
-def _fill(row: NDArray[np.int64], numbers: list[int]) -> None:
-    row[: len(numbers)] = numbers
+                yield _Interaction((reached, closed, closed), opening, False, False, None, int(stretch[place]) + 1)
 
 
 class InteractionMemory:

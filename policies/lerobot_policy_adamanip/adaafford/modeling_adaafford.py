@@ -20,9 +20,7 @@ from lerobot_policy_adamanip.adaafford.network import (
 )
 from lerobot_policy_adamanip.affordance import plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
-from lerobot_policy_adamanip.affordance.networks import mean_of_best, point_near, points_away
-from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import (
+from lerobot_policy_adamanip.affordance.losses import (
     Weighted,
     error_by_group,
     free_bits,
@@ -30,8 +28,11 @@ from lerobot_policy_adamanip.common.losses import (
     sum_losses,
     valid_rows,
 )
+from lerobot_policy_adamanip.affordance.networks import mean_of_best, point_near, points_away
+from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
+from lerobot_policy_adamanip.common.geometry import with_gripper
+from lerobot_policy_adamanip.common.inputs import INDEX
 from lerobot_policy_adamanip.common.policy import ChunkGuard
-from lerobot_policy_adamanip.common.recorded_rows import INDEX
 
 OFFSET = slice(plans.GRASP_GROUPS[0], plans.GRASP_GROUPS[0] + plans.GRASP_GROUPS[1])
 """Entries of a proposal that hold the offset of the tool from a place in the cloud."""
@@ -233,7 +234,7 @@ class AdaAffordPolicy(AffordancePolicy):
         if memory.interactions:
             before, command, _ = memory.interactions[-1]
             again = goal_of(pose, action_numbers(before, command)[6:])
-            goals = torch.cat([goals, again[None], plans.with_gripper(before, 0.0)[None]])
+            goals = torch.cat([goals, again[None], with_gripper(before, 0.0)[None]])
         return goals, self._scores(cloud, z, pose.expand(len(goals), -1), goals, memory)
 
     def _new_contacts(self, cloud: Tensor, z: Tensor, memory: InteractionMemory) -> tuple[Tensor, Tensor, Tensor]:

@@ -10,9 +10,16 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.schema import POSITION_DIMS, ROTATION_DIMS
 from lerobot_policy_adamanip.adaafford.configuration_adaafford import AdaAffordConfig
 from lerobot_policy_adamanip.affordance.networks import ConditionalVAE, PlaceFeatures, Score
-from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, decode_grasp, encode_grasp, with_gripper
+from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, decode_grasp, encode_grasp
 from lerobot_policy_adamanip.common.contacts import EVENT_DIM, Past
-from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, MOTION_UNITS, constant, motion_between, pose_after
+from lerobot_policy_adamanip.common.geometry import (
+    MOTION_DIM,
+    MOTION_UNITS,
+    constant,
+    motion_between,
+    pose_after,
+    with_gripper,
+)
 
 ACTION_NUMBERS = 6 + MOTION_DIM - 1
 """An action in contact: the tool's rotation 6D, and its goal in the tool's frame."""

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-from lerobot.configs.types import NormalizationMode
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
@@ -27,11 +26,6 @@ class AffordanceConfig(CloudPolicyConfig):
     # Number of nearest points that describe a place.
     patch_points: int = 64
 
-    # Normalisation of each kind of feature; only IDENTITY works, because distances are measured in metres.
-    normalization_mapping: dict[str, NormalizationMode] = field(
-        default_factory=lambda: dict.fromkeys(("STATE", "ENV", "VISUAL", "ACTION"), NormalizationMode.IDENTITY)
-    )
-
     # Learning rate of AdamW.
     optimizer_lr: float = 1e-3
     # Weight decay of AdamW.
@@ -42,14 +36,12 @@ class AffordanceConfig(CloudPolicyConfig):
     def check(self) -> None:
         """Raises `ConfigurationError` for options that do not fit together."""
         self.require_positive("num_points", "context_points", "feature_dim", "patch_points", "patch_radius")
-        others = [mode for mode in self.normalization_mapping.values() if mode is not NormalizationMode.IDENTITY]
-        if others or self.n_obs_steps != 1 or not self.encoder_dims or self.context_points > self.num_points:
+        if self.n_obs_steps != 1 or not self.encoder_dims or self.context_points > self.num_points:
             raise ConfigurationError(
                 f"Options of {self.type} do not fit together.",
-                got=f"normalization_mapping={self.normalization_mapping}, n_obs_steps={self.n_obs_steps}, "
-                f"encoder_dims={self.encoder_dims}, context_points={self.context_points}",
-                allowed="IDENTITY for each kind of feature, n_obs_steps=1, non-empty encoder_dims, "
-                f"context_points <= num_points={self.num_points}",
+                got=f"n_obs_steps={self.n_obs_steps}, encoder_dims={self.encoder_dims}, "
+                f"context_points={self.context_points}",
+                allowed=f"n_obs_steps=1, non-empty encoder_dims, context_points <= num_points={self.num_points}",
                 hint="none of these options",
             )
 
@@ -62,11 +54,6 @@ class AffordanceConfig(CloudPolicyConfig):
                 allowed="above 0",
                 hint="none of these options",
             )
-
-    @property
-    def observation_delta_indices(self) -> None:
-        """None: the policy reads the present observation only."""
-        return None
 
     def validate_features(self) -> None:
         """Keeps cloud and state as inputs; raises `ConfigurationError` unless state and action are poses."""

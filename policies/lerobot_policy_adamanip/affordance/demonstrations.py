@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND
-from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, is_trained, read_columns
+from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, is_trained, read_columns
 
 MIN_CLEARANCE_M = 0.05
 """A hand at least this far from a grasp does not hide the part."""

@@ -10,8 +10,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.keyframes import EMPTY_HAND, OPEN_HAND, PRE_GRASP
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
-from lerobot_policy_adamanip.common.tool_frame import pose_after
-from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
+from lerobot_policy_adamanip.common.geometry import backed_off, orthonormal_6d, with_gripper
 
 GRASP_DIM = 10
 GRASP_GROUPS = (6, 3, 1)
@@ -34,27 +33,15 @@ def decode_grasp(code: Tensor, place: Tensor) -> Tensor:
     return torch.cat([position, orthonormal_6d(code[..., :6]), code[..., 9:10].round().clamp(0, 1)], dim=-1)
 
 
-def with_gripper(pose: Tensor, opening: float) -> Tensor:
-    """Returns poses (..., 10) with the given opening, 0 closed ... 1 open."""
-    return torch.cat([pose[..., :GRIPPER_DIM], torch.full_like(pose[..., GRIPPER_DIM:], opening)], dim=-1)
-
-
-def backed_off(pose: Tensor) -> Tensor:
-    """Returns poses (..., 10) moved back along their approach, the tool's z axis, by the pre-grasp distance."""
-    back = pose.new_zeros(*pose.shape[:-1], 7)
-    back[..., 2], back[..., 6] = -PRE_GRASP, pose[..., GRIPPER_DIM]
-    return pose_after(back, pose)
-
-
 def approach(grasp: Tensor) -> Tensor:
     """Returns the key frames (..., 3, 10) of grasps (..., 10): pre-grasp, grasp, fingers closed."""
-    return torch.stack([backed_off(grasp), grasp, with_gripper(grasp, 0.0)], dim=-2)
+    return torch.stack([backed_off(grasp, PRE_GRASP), grasp, with_gripper(grasp, 0.0)], dim=-2)
 
 
 def let_go(pose: Tensor) -> Tensor:
     """Returns the key frames (..., 2, 10) that release a part: open in place, then back along the approach."""
     opened = with_gripper(pose, 1.0)
-    return torch.stack([opened, backed_off(opened)], dim=-2)
+    return torch.stack([opened, backed_off(opened, PRE_GRASP)], dim=-2)
 
 
 def holds_something(pose: Tensor) -> bool:

@@ -11,8 +11,8 @@ from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations, read_demonstrations
+from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, RecordedRows
 from lerobot_policy_adamanip.common.policy import CloudPolicy
-from lerobot_policy_adamanip.common.recorded_rows import EPISODE, INDEX, RecordedRows
 
 
 class Labels(nn.Module):

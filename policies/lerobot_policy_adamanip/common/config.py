@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from lerobot.configs.policies import PreTrainedConfig
-from lerobot.configs.types import FeatureType, PolicyFeature
+from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
 from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig
 from torch.nn import Parameter
 
@@ -91,14 +91,24 @@ class CloudPolicyConfig(PreTrainedConfig):
         """Raises `ConfigurationError` for options that do not go together."""
 
     @property
-    def action_delta_indices(self) -> None:
+    def observation_delta_indices(self) -> list[int] | None:
         """None: LeRobot reads the present row; the policy looks up the others by its ``index``."""
+        return None
+
+    @property
+    def action_delta_indices(self) -> None:
+        """None, as above."""
         return None
 
     @property
     def reward_delta_indices(self) -> None:
         """None: rewards are not used."""
         return None
+
+    @property
+    def normalization_mapping(self) -> dict[str, NormalizationMode]:
+        """Nothing is normalised: distances between poses and clouds are measured in metres."""
+        return dict.fromkeys(("STATE", "ENV", "VISUAL", "ACTION"), NormalizationMode.IDENTITY)
 
     def set_dataset_feature_metadata(self, features: Mapping[str, Mapping[str, Any]]) -> None:
         """Sets `pose_layout` from a dataset's feature names; LeRobot calls this before training."""

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, GRIPPER_DIM, STATE
-from lerobot_policy_adamanip.common.recorded_rows import RecordedRows
-from lerobot_policy_adamanip.common.tool_frame import MOTION_UNITS, motion_between
+from lerobot_policy_adamanip.common.geometry import MOTION_UNITS, motion_between
+from lerobot_policy_adamanip.common.inputs import RecordedRows
 
 MIN_SPREAD = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02, 0.02)
 """Lower bound of a cluster's spread [m, m, m, rad, rad, rad, -]."""

@@ -10,11 +10,12 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
-from lerobot_adamanip.contract.pointcloud import Workspace, as_points
+from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.dataset import camera_of, workspace_of
 from lerobot_adamanip.util.errors import ConfigurationError, listed
-from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
+from lerobot_policy_adamanip.common.config import CloudPolicyConfig
+from lerobot_policy_adamanip.common.inputs import pick_inputs
 
 _logger = logging.getLogger(__name__)
 
@@ -73,31 +74,12 @@ class CloudPolicy(PreTrainedPolicy):
 
     # Inputs ---------------------------------------------------------------------------------------------------------
 
-    def pick_inputs(self, batch: Mapping[str, Any]) -> dict[str, Tensor]:
-        """Returns the inputs, clouds cropped to (..., N, 3); raises `ConfigurationError` if one is missing."""
-        wanted, num_points = self.config.input_features, self.config.num_points
-        if any(batch.get(key) is None for key in wanted):
-            raise ConfigurationError(
-                "The observation lacks an input of the policy.",
-                got=", ".join(key for key in batch if key.startswith("observation")) or "no observation",
-                allowed=", ".join(wanted),
-                hint="--env.type=adamanip_safe, or another environment with point clouds",
-            )
-        picked = {key: batch[key] for key in wanted}
-        cloud = picked[POINT_CLOUD]
-        if cloud.shape[-1] != wanted[POINT_CLOUD].shape[-1]:
-            cloud = as_points(cloud)
-        if cloud.shape[-2] < num_points:
-            raise wrong_number_of_points(cloud.shape[-2:], num_points)
-        picked[POINT_CLOUD] = cloud[..., :num_points, :3]
-        return picked
-
     def observed(self, batch: Mapping[str, Any]) -> tuple[Tensor, Tensor]:
         """Returns clouds (B, N, 3) [m] and tool poses (B, 10) of one observation.
 
         Adds a missing batch dimension to clouds; LeRobot adds it to states only.
         """
-        picked = self.pick_inputs(batch)
+        picked = pick_inputs(self.config, batch)
         cloud, pose = picked[POINT_CLOUD], picked[STATE][..., :ACTION_DIM]
         return (cloud[None] if cloud.dim() == 2 else cloud).float(), pose.float()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,14 +10,110 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
-from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
-from lerobot_policy_adamanip.dp3_adaptive.presets import CHOICES, COUNTS, FIXED, OPTIONS, PRESETS
 
-SHARES = ("augmentation_mirror", "failed_below", "min_probability")
-SIZES = (*COUNTS, "down_dims", "n_groups", "kernel_size", "encoder_dims", "num_refinements")
+TRAIN_TIMESTEPS = 100
+"""Diffusion steps in training."""
+UNET_GROUPS = 8
+"""Groups of the U-Net's group normalisation."""
+
+
+@dataclass(frozen=True)
+class Method:
+    """What a preset decides and no option changes.
+
+    Attributes:
+        head: what draws actions, ``anchors`` (typical motions, refined) or ``diffusion``, the paper's.
+        frame: of clouds and actions: ``tool``, without normalisation, or ``base``, the robot's.
+        encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (the paper's).
+        weight_decay: of AdamW.
+        prediction_type: target of the U-Net, ``epsilon`` (the noise) or ``sample`` (the clean action).
+        step_embed_dim: size of the diffusion step's embedding.
+    """
+
+    head: str
+    frame: str
+    encoder: str = "mlp"
+    weight_decay: float = 1e-6
+    prediction_type: str = "sample"
+    step_embed_dim: int = 64
+
+
+METHODS = {
+    "fast": Method("anchors", "tool", weight_decay=1e-4),
+    "diffusion": Method("diffusion", "tool"),
+    "dp3": Method("diffusion", "base", step_embed_dim=128),
+    "paper": Method("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256),
+}
+"""``fast``: the head anchors, which is no diffusion. ``diffusion``: the paper's method with this project's tool frame,
+memory of contact events and refinement.
+
+``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
+``--policy.down_dims='[128,256,384]'`` gives the widths of the release's Simple DP3, which a CPU can train; LeRobot's
+U-Net has twice its residual blocks. What else differs from the release: docs/differences.md.
+``paper``: the paper's table of parameters, except for ``--batch_size=64``. Values missing in the table are those of the
+paper's code.
+"""
+TOOL: dict[str, Any] = {
+    "num_points": 1024, "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
+    "coarse_points": 512, "training_points": 320,
+    "n_obs_steps": 1, "n_action_history_steps": 16, "n_action_steps": 1, "memory_dim": 64, "use_feedback": True,
+    "num_anchors": 32, "num_refinements": 3, "refinement_points": 128, "optimizer_lr": 1e-3,
+    "scheduler_warmup_steps": 100,
+}  # fmt: skip
+"""What both heads in the tool's frame use, at a size for two CPU cores."""
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {**TOOL, "horizon": 1, "trunk_dim": 256},
+    "diffusion": {
+        **TOOL, "horizon": 4, "down_dims": (128, 256), "noise_scheduler_type": "DDIM", "num_inference_steps": 10,
+    },
+    "dp3": {
+        "num_points": 1024, "encoder_dims": (64, 128, 256), "encoder_out_dim": 64,
+        "n_obs_steps": 2, "n_action_history_steps": 0, "horizon": 4, "n_action_steps": 3,
+        "down_dims": (512, 1024, 2048), "noise_scheduler_type": "DDIM", "num_inference_steps": 10,
+        "optimizer_lr": 1e-4, "scheduler_warmup_steps": 500,
+    },
+    "paper": {
+        "num_points": 4096, "encoder_dims": (64, 128, 256, 512), "encoder_out_dim": 128,
+        "n_obs_steps": 4, "n_action_history_steps": 4, "horizon": 4, "n_action_steps": 2,
+        "down_dims": (256, 512, 1024), "noise_scheduler_type": "DDPM", "num_inference_steps": 100,
+        "optimizer_lr": 1e-4, "scheduler_warmup_steps": 500,
+    },
+}  # fmt: skip
+"""Preset -> the default of each option that it uses; it refuses the others' options."""
+OPTIONS = {name for preset in PRESETS.values() for name in preset}
+"""Options whose default is the preset's."""
+COUNTS = (
+    "num_points", "num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points",
+    "num_inference_steps",
+)  # fmt: skip
+"""Options that are at least 1."""
+SIZES = (*COUNTS, "down_dims", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
+
+
+@dataclass
+class Inference:
+    """Switches of what acts at inference; training is the same with any of them. Presets dp3 and paper use none."""
+
+    # Use the learned memory of contact events.
+    memory: bool = True
+    # Do not draw a motion that has failed, until something has moved.
+    no_repeat: bool = True
+    # Do not undo a step before anything was tried.
+    no_undo: bool = True
+    # An open hand whose way is blocked backs off.
+    back_off: bool = True
+    # A hand (empty, holding, open) draws only motions that demonstrations begin with such a hand.
+    hand_state_mask: bool = True
+    # Anchors of a probability below 0.03 are not drawn (preset fast).
+    probability_floor: bool = True
+    # Draw again while the drawn action leads to nothing: 4 draws (fast), 8 draws (diffusion).
+    redraw: bool = True
+    # Take a refined grasp with its fingers swapped where that is a smaller turn.
+    swap_fingers: bool = True
 
 
 def from_preset() -> Any:
@@ -36,15 +133,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     preset: str = "fast"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
-    # Not used: checkpoints before 0.3 have it and are refused.
-    tcp_relative: bool | None = None
+    # What acts at inference beside the network: the memory, and each rule. In the tool's frame only.
+    inference: Inference = field(default_factory=Inference)
 
-    # Set by the preset, not to be changed: what draws actions, anchors (typical motions, refined) or diffusion, the
-    # paper's (fast anchors, diffusion diffusion, dp3 diffusion, paper diffusion).
-    head: str = from_preset()
-    # Set by the preset, not to be changed: the frame of clouds and actions, the tool's or the robot's base (fast tool,
-    # diffusion tool, dp3 base, paper base).
-    frame: str = from_preset()
     # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
     # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 16, dp3 0, paper 4).
@@ -56,16 +147,11 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, diffusion
     # 1024, dp3 1024, paper 4096).
     num_points: int = from_preset()
-    # Encoder of clouds: mlp (DP3's PointNet) or pointnet2 (the paper's) (fast mlp, diffusion mlp, dp3 mlp, paper
-    # pointnet2).
-    encoder: str = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (pointnet2) (fast 64 128 192, diffusion 64 128 192, dp3 64 128 256,
+    # Widths of the encoder's layers (mlp) or levels (paper) (fast 64 128 192, diffusion 64 128 192, dp3 64 128 256,
     # paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
     # Number of features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
-    # Proprioception: pose (tool pose and gripper) or full (joints too) (dp3 full, paper full).
-    proprioception: str = from_preset()
     # Use the external joint torques as an input.
     use_effort: bool = False
     # Use the instruction as an input, for one policy of several tasks.
@@ -77,15 +163,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     use_feedback: bool = from_preset()
     # Size of the memory of contact events (fast 64, diffusion 64).
     memory_dim: int = from_preset()
-    # Do not repeat a failed motion until something has moved, nor undo a step untried (fast True, diffusion True).
-    avoid_repeats: bool = from_preset()
-    # A motion has failed if the arm did less than this share of it (fast 0.25, diffusion 0.25).
-    failed_below: float = from_preset()
-    # Number of draws of an action, while the drawn one leads to nothing: an approach without anything to hold at its
-    # end, a motion that was never shown with such a hand, or (diffusion) a repeated failure (fast 4, diffusion 8).
-    num_draws: int = from_preset()
-    # Least probability of an anchor; less probable ones are not drawn (fast 0.03).
-    min_probability: float = from_preset()
     # Number of anchors, typical motions of the demonstrations. The head diffusion uses them to know which poses to
     # refine (fast 32, diffusion 32).
     num_anchors: int = from_preset()
@@ -93,93 +170,45 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     trunk_dim: int = from_preset()
     # Number of first points used to choose a motion; refinement uses all points (fast 512, diffusion 512).
     coarse_points: int = from_preset()
+    # Training only: size of a random subset of coarse_points (fast 320, diffusion 320).
+    training_points: int = from_preset()
     # Refinement steps of the pose that an open hand approaches; 0 for none (fast 3, diffusion 3).
     num_refinements: int = from_preset()
     # Number of nearest points used by a refinement step (fast 128, diffusion 128).
     refinement_points: int = from_preset()
-    # Largest shift by refinement; a pose that would shift further has nothing to hold [m] (fast 0.1, diffusion 0.1).
-    refinement_reach: float = from_preset()
-    # Approaches are refined if the end points of their kind spread by more [m] (fast 0.006, diffusion 0.006).
-    refinement_spread: float = from_preset()
-    # Training only: size of a random subset of coarse_points (fast 320, diffusion 320).
-    training_points: int = from_preset()
-    # Training only: standard deviation of noise on points [m] (fast 0.002, diffusion 0.002).
-    point_noise_std: float = from_preset()
     # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dp3 512 1024 2048, paper
     # 256 512 1024).
     down_dims: tuple[int, ...] | None = from_preset()
-    # Kernel of the U-Net's convolutions over time, odd (diffusion 3, dp3 5, paper 5).
-    kernel_size: int = from_preset()
-    # Groups of the U-Net's group normalisation; must divide all down_dims (diffusion 8, dp3 8, paper 8).
-    n_groups: int = from_preset()
-    # Size of the diffusion step's embedding (diffusion 64, dp3 128, paper 256).
-    diffusion_step_embed_dim: int = from_preset()
-    # FiLM with scale: the condition scales and shifts features, instead of only shifting them (diffusion True, dp3
-    # True, paper True).
-    use_film_scale_modulation: bool = from_preset()
-    # Recompute the U-Net's activations in the backward pass: less memory, more time (diffusion False, dp3 False, paper
-    # False).
-    gradient_checkpointing: bool = from_preset()
     # Sampler: DDPM or DDIM (diffusion DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
-    # Diffusion steps in training (diffusion 100, dp3 100, paper 100).
-    num_train_timesteps: int = from_preset()
-    # Denoising steps per chunk at run time (diffusion 10, dp3 10, paper 100).
+    # Denoising steps per chunk at run time, at most 100 (diffusion 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
-    # Noise schedule, by its name in diffusers (diffusion squaredcos_cap_v2, dp3 squaredcos_cap_v2, paper
-    # squaredcos_cap_v2).
-    beta_schedule: str = from_preset()
-    # Target of the U-Net: epsilon (the noise) or sample (the clean action) (diffusion sample, dp3 sample, paper
-    # epsilon).
-    prediction_type: str = from_preset()
-    # Bound of an action while sampling, in units of the denoised values (diffusion 4.0, dp3 1.0, paper 1.0).
-    clip_sample_range: float = from_preset()
-    # Exponent of the averaged weights' decay, which is 1 - (1 + n)^-ema_power at step n.
-    ema_power: float = 0.75
-    # Largest decay of the averaged weights.
-    ema_max: float = 0.9999
-    # Training only: largest shift of scenes along each axis [m] (dp3 0.0, paper 0.0).
-    augmentation_translation: float = from_preset()
-    # Training only: largest turn of scenes about the vertical [rad]; joint positions do not change (dp3 0.0, paper
-    # 0.0).
-    augmentation_yaw: float = from_preset()
-    # Point on the vertical of augmentation_yaw: x, y, z [m], robot base frame (dp3 0.55 0.0 0.0, paper 0.55 0.0 0.0).
-    augmentation_center: tuple[float, float, float] | None = from_preset()
     # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
     # that always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Training only: standard deviation of noise on past actions [normalised units] (dp3 0.0, paper 0.0).
-    history_noise_std: float = from_preset()
-    # Normalisation of each kind of feature. Default: IDENTITY in the tool's frame, else MIN_MAX of STATE and ACTION.
-    normalization_mapping: dict[str, NormalizationMode] = field(default_factory=dict)
     # Learning rate of AdamW (fast 0.001, diffusion 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
-    # Weight decay of AdamW (fast 0.0001, diffusion 1e-06, dp3 1e-06, paper 1e-06).
-    optimizer_weight_decay: float = from_preset()
-    # Decay rates (betas) of AdamW's averages.
-    optimizer_betas: tuple[float, float] = (0.95, 0.999)
-    # Schedule of the learning rate, by its name in diffusers.
-    scheduler_name: str = "cosine"
     # Warm-up steps to the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def check(self) -> None:
         """Sets the preset's values; raises `AdaManipError` for options that do not fit together."""
-        if self.tcp_relative is not None:
-            what = "This is an option or a checkpoint of a version before 0.3, whose networks differ."
-            hint = "train again with this version, or use the commit that the checkpoint's card names"
-            raise self._error(what, ("tcp_relative",), "checkpoints that this version has trained", hint)
         self._take_preset()
-        for name, choices in CHOICES.items():
-            if self.uses(name):
-                require_choice(name, getattr(self, name), choices)
+        if self.method.head == "diffusion":
+            require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
         self._check_sizes()
         self._check_horizon()
-        self._check_mapping()
 
-    def uses(self, name: str) -> bool:
-        """Returns whether the preset uses an option of `OPTIONS`."""
-        return name in PRESETS[self.preset]
+    @property
+    def method(self) -> Method:
+        """What the preset decides."""
+        return METHODS[self.preset]
+
+    @property
+    def normalization_mapping(self) -> dict[str, NormalizationMode]:
+        """In the robot's base frame states and actions are normalised, but not clouds."""
+        scaled = {} if self.method.frame == "tool" else dict.fromkeys(("STATE", "ACTION"), NormalizationMode.MIN_MAX)
+        return {**super().normalization_mapping, **scaled}
 
     def _take_preset(self) -> None:
         values = PRESETS[require_choice("preset", self.preset, PRESETS)]
@@ -190,60 +219,53 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 allowed=f"preset={self.values_from}",
                 hint=f"a new training with --policy.type=dp3_adaptive --policy.preset={self.preset}",
             )
+        foreign = [name for name in OPTIONS - values.keys() if getattr(self, name) is not None]
+        if self.method.frame == "base" and self.inference != Inference():
+            foreign.append("inference")
+        for name in foreign:
+            others = [preset for preset in PRESETS if name in PRESETS[preset]] or ["fast", "diffusion"]
+            raise self._error(
+                f"The preset {self.preset} does not use this option.",
+                (name,),
+                f"{name} with preset={' or '.join(others)}",
+                f"--policy.preset={others[0]}, or without --policy.{name}",
+            )
         for name in OPTIONS:
-            given = getattr(self, name)
-            if given is not None and (name not in values or (name in FIXED and given != values[name])):
-                raise self._foreign(name, given)
-            if given is None:
+            if getattr(self, name) is None:
                 setattr(self, name, values.get(name))
         self.values_from = self.preset
-        if not self.normalization_mapping:
-            mode = NormalizationMode.IDENTITY if self.frame == "tool" else NormalizationMode.MIN_MAX
-            none = NormalizationMode.IDENTITY
-            self.normalization_mapping = {"STATE": mode, "ENV": none, "VISUAL": none, "ACTION": mode}
-
-    def _foreign(self, name: str, given: Any) -> ConfigurationError:
-        """Returns the error for an option or value of another preset."""
-        others = [each for each, used in PRESETS.items() if name in used and (name not in FIXED or used[name] == given)]
-        others = others or [self.preset]
-        return self._error(
-            f"The preset {self.preset} does not use this option or value.",
-            (name,),
-            f"{name} with preset={' or '.join(others)}",
-            f"--policy.preset={others[0]}, or without --policy.{name}",
-        )
 
     def _check_sizes(self) -> None:
-        fits = all(getattr(self, name) >= 1 for name in COUNTS if self.uses(name)) and len(self.encoder_dims) > 0
-        fits = fits and (self.num_refinements or 0) >= 0
-        if self.head == "diffusion":
+        fits = all(getattr(self, name) >= 1 for name in COUNTS if name in PRESETS[self.preset])
+        fits = fits and len(self.encoder_dims) > 0 and (self.num_refinements or 0) >= 0
+        if self.method.head == "diffusion":
             widths = tuple(self.down_dims or ())
-            fits = fits and all(width > 0 and width % self.n_groups == 0 for width in widths) and len(widths) > 0
-            fits = fits and self.kernel_size % 2 == 1 and self.num_inference_steps <= self.num_train_timesteps
+            fits = fits and all(width > 0 and width % UNET_GROUPS == 0 for width in widths) and len(widths) > 0
+            fits = fits and self.num_inference_steps <= TRAIN_TIMESTEPS
         if not fits:
             raise self._error(
                 "Sizes do not fit.",
-                tuple(name for name in SIZES if self.uses(name)),
-                f"down_dims that n_groups divides, an odd kernel_size, some encoder_dims, {', '.join(COUNTS)} >= 1, "
-                f"num_refinements >= 0, num_inference_steps <= num_train_timesteps={self.num_train_timesteps}",
+                [name for name in SIZES if name in PRESETS[self.preset]],
+                f"down_dims that {UNET_GROUPS} divides, some encoder_dims, {', '.join(COUNTS)} >= 1, "
+                f"num_refinements >= 0, num_inference_steps <= {TRAIN_TIMESTEPS}",
                 f"--policy.preset={self.preset}, and none of these",
             )
-        shares = tuple(name for name in SHARES if not 0.0 <= (getattr(self, name) or 0.0) <= 1.0)
-        if shares:
-            raise self._error("Not a share.", shares, "0 to 1", f"--policy.{shares[0]}=0.5")
+        if not 0.0 <= self.augmentation_mirror <= 1.0:
+            raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")
 
     def _check_horizon(self) -> None:
-        factor = 2 ** (len(self.down_dims or ()) - 1) if self.head == "diffusion" else 1
+        factor = 2 ** (len(self.down_dims or ()) - 1) if self.method.head == "diffusion" else 1
         fits = self.horizon % factor == 0 and 1 <= self.n_action_steps <= self.horizon
         if not fits or self.n_action_history_steps < 0 or self.n_obs_steps < 1:
             raise self._error(
                 "Horizons do not fit.",
-                tuple(name for name in HORIZONS if self.uses(name)),
+                [name for name in HORIZONS if name in PRESETS[self.preset]],
                 f"horizon a multiple of {factor}, 1 <= n_action_steps <= horizon, "
                 "n_obs_steps >= 1, n_action_history_steps >= 0",
                 "--policy.horizon=4 --policy.n_action_steps=1",
             )
-        if self.frame == "tool" and (self.n_obs_steps != 1 or (self.head == "anchors" and self.horizon != 1)):
+        one_action = self.method.head == "anchors"
+        if self.method.frame == "tool" and (self.n_obs_steps != 1 or (one_action and self.horizon != 1)):
             raise self._error(
                 "The tool's frame uses one cloud, and the head anchors draws one action.",
                 ("n_obs_steps", "horizon"),
@@ -251,18 +273,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 "--policy.preset=dp3",
             )
 
-    def _check_mapping(self) -> None:
-        """Checks that poses stay in metres where they are related to clouds."""
-        modes = [self.normalization_mapping.get(kind) for kind in ("STATE", "ACTION")]
-        if self.frame == "tool" and any(mode is not NormalizationMode.IDENTITY for mode in modes):
-            raise ConfigurationError(
-                "The tool's frame does not work with this normalisation.",
-                got=", ".join(map(str, modes)),
-                allowed="IDENTITY for STATE and for ACTION",
-                hint="without --policy.normalization_mapping, or --policy.preset=dp3",
-            )
-
-    def _error(self, what: str, names: tuple[str, ...], allowed: str, hint: str) -> ConfigurationError:
+    def _error(self, what: str, names: Sequence[str], allowed: str, hint: str) -> ConfigurationError:
         got = ", ".join(f"{name}={getattr(self, name)}" for name in names)
         return ConfigurationError(what, got=got, allowed=allowed, hint=hint)
 
@@ -271,19 +282,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         """Observation steps relative to the present; None for the present only, which LeRobot reads fastest."""
         return list(range(1 - self.n_obs_steps, 1)) if self.n_obs_steps > 1 else None
 
-    @property
-    def observed_steps(self) -> int:
-        """Observation steps kept at run time; the tool's frame also needs the poses before past actions."""
-        return 1 + self.n_action_history_steps if self.frame == "tool" else self.n_obs_steps
-
     def validate_features(self) -> None:
         """Keeps cloud, state and, with ``use_effort``, effort as inputs; see `CloudPolicyConfig.keep_inputs`."""
         self.keep_inputs(POINT_CLOUD, STATE, *([EFFORT] if self.use_effort else []))
-
-    @property
-    def state_dim(self) -> int:
-        """Number of state values that the policy uses."""
-        return ACTION_DIM if self.proprioception == "pose" and self.has_pose_layout else self.feature_size(STATE)
 
     def feature_size(self, key: str) -> int:
         """Returns the size of an input."""
@@ -291,9 +292,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     def get_optimizer_preset(self) -> FusedAdamWConfig:
         """Returns AdamW."""
-        decay, betas = self.optimizer_weight_decay, self.optimizer_betas
-        return FusedAdamWConfig(lr=self.optimizer_lr, betas=betas, weight_decay=decay)
+        return FusedAdamWConfig(lr=self.optimizer_lr, betas=(0.95, 0.999), weight_decay=self.method.weight_decay)
 
     def get_scheduler_preset(self) -> DiffuserSchedulerConfig:
-        """Returns a schedule with warm-up."""
-        return DiffuserSchedulerConfig(name=self.scheduler_name, num_warmup_steps=self.scheduler_warmup_steps)
+        """Returns a cosine schedule with warm-up."""
+        return DiffuserSchedulerConfig(name="cosine", num_warmup_steps=self.scheduler_warmup_steps)

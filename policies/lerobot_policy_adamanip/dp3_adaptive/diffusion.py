@@ -1,8 +1,12 @@
-"""The head ``diffusion``: LeRobot's conditional U-Net denoises a chunk of actions (paper, section 4.2 and eq. 2)."""
+"""The diffusion heads: LeRobot's conditional U-Net denoises a chunk of actions (paper, section 4.2 and eq. 2).
+
+`BaseDiffusionHead` is the paper's and DP3's, in the robot's base frame. `ToolDiffusionHead` works in the tool's frame,
+with contact events, redraws and refinement.
+"""
 
 from __future__ import annotations
 
-from typing import Any
+from types import SimpleNamespace
 
 import torch
 import torch.nn.functional as F
@@ -11,56 +15,77 @@ from diffusers.schedulers.scheduling_ddpm import DDPMScheduler
 from lerobot.policies.diffusion.modeling_diffusion import DiffusionConditionalUnet1d
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE, Statistics
+from lerobot_adamanip.contract.pointcloud import as_points
+from lerobot_adamanip.contract.schema import (
+    ACTION_DIM,
+    EFFORT,
+    GRIPPER_DIM,
+    POINT_CLOUD,
+    POSITION_DIMS,
+    ROTATION_DIMS,
+    STATE,
+    Statistics,
+)
+from lerobot_policy_adamanip.common import geometry
+from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.common.encoders import make_encoder
-from lerobot_policy_adamanip.dp3_adaptive.cloud_units import CloudUnits
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.common.inputs import Window
+from lerobot_policy_adamanip.dp3_adaptive import rules
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import (
+    TRAIN_TIMESTEPS,
+    UNET_GROUPS,
+    DP3AdaptiveConfig,
+)
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import Window
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
 
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; demonstrations are within 1."""
+POSITION_UNIT, ROTATION_UNIT = 0.02, 0.5
+"""Units of a denoised pose: positions are scaled by asinh, so that an error is small relative to the motion [m]."""
 
 
-class Denoiser(nn.Module):
-    """A cloud encoder and LeRobot's conditional U-Net, whose condition has ``condition_dim`` values."""
+class DiffusionHead(nn.Module):
+    """Denoising of chunks of actions; how a chunk is encoded and what it is conditioned on depends on the frame.
 
-    def __init__(self, config: DP3AdaptiveConfig, point_dim: int, condition_dim: int) -> None:
+    Args:
+        config: of the policy.
+        point_dim: number of features of a point.
+        condition_dim: number of values of the condition.
+        kernel_size: of the U-Net's convolutions over time, odd.
+        clip: bound of a denoised value while sampling.
+    """
+
+    def __init__(
+        self, config: DP3AdaptiveConfig, point_dim: int, condition_dim: int, *, kernel_size: int, clip: float
+    ) -> None:
         super().__init__()
+        self.config, method = config, config.method
+        self._predicts_noise = method.prediction_type == "epsilon"
         self.encoder = make_encoder(
-            config.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
+            method.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
         )
-        self.unet = DiffusionConditionalUnet1d(config, global_cond_dim=condition_dim)
-
-
-class BaseDenoiser(Denoiser):
-    """The network of the paper: observed steps and a flat history of actions, in the robot's base frame."""
-
-    def __init__(self, config: DP3AdaptiveConfig, stats: Statistics | None) -> None:
-        body_dim = config.state_dim + (config.feature_size(EFFORT) if config.use_effort else 0)
-        body_dim += instruction_dim(config)
-        past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
-        condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
-        super().__init__(config, 3, condition_dim)
-        self.cloud_units = CloudUnits(stats)
-        self.history = nn.Sequential(nn.Linear(past_dim, 128), nn.Mish(), nn.Linear(128, 64)) if past_dim else None
-
-
-class DiffusionHead:
-    """Denoising of chunks of actions; how a chunk is encoded and what it is conditioned on depends on the frame."""
-
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
-        self.config = config
+        unet = SimpleNamespace(
+            action_feature=config.action_feature,
+            horizon=config.horizon,
+            down_dims=config.down_dims,
+            kernel_size=kernel_size,
+            n_groups=UNET_GROUPS,
+            diffusion_step_embed_dim=method.step_embed_dim,
+            use_film_scale_modulation=True,
+            gradient_checkpointing=False,
+        )
+        self.unet = DiffusionConditionalUnet1d(unet, global_cond_dim=condition_dim)
         scheduler = DDIMScheduler if config.noise_scheduler_type == "DDIM" else DDPMScheduler
         self.noise_scheduler = scheduler(
-            num_train_timesteps=config.num_train_timesteps,
-            beta_schedule=config.beta_schedule,
-            prediction_type=config.prediction_type,
+            num_train_timesteps=TRAIN_TIMESTEPS,
+            beta_schedule="squaredcos_cap_v2",
+            prediction_type=method.prediction_type,
             clip_sample=True,
-            clip_sample_range=config.clip_sample_range,
+            clip_sample_range=clip,
         )
 
-    def condition(self, model: Any, window: Window) -> Tensor:
+    def condition(self, window: Window) -> Tensor:
         """Returns the conditioning vector (B, C)."""
         raise NotImplementedError
 
@@ -68,38 +93,58 @@ class DiffusionHead:
         """Returns actions (B, T, A) as denoised values (B, T, A)."""
         raise NotImplementedError
 
-    def loss(
-        self, model: Any, window: Window, actions: Tensor, is_label: Tensor
-    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns the denoising error per sample (B,), its weight (B,), and metrics (paper, eq. 2).
 
         Labels are ``actions`` (B, T, A) where ``is_label`` (B, T) is true; padding repeats the last.
         """
-        target, condition = self.encode(actions, window), self.condition(model, window)
+        target, condition = self.encode(actions, window), self.condition(window)
         noise = torch.randn_like(target)
-        steps = torch.randint(0, self.config.num_train_timesteps, (len(target),), device=target.device)
-        predicted = model.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
-        if self.config.prediction_type == "epsilon":
-            target = noise
+        steps = torch.randint(0, TRAIN_TIMESTEPS, (len(target),), device=target.device)
+        predicted = self.unet(self.noise_scheduler.add_noise(target, noise, steps), steps, global_cond=condition)
+        target = noise if self._predicts_noise else target
         weight = is_label.sum(dim=1).to(predicted.dtype)
         error = F.mse_loss(predicted, target, reduction="none") * is_label.unsqueeze(-1).to(predicted.dtype)
         return error.flatten(1).sum(1) / (weight * error.shape[-1]).clamp(min=1), weight, {}
 
-    def denoise(self, model: Any, condition: Tensor, noise: Tensor | None) -> Tensor:
+    def denoise(self, condition: Tensor, noise: Tensor | None) -> Tensor:
         """Draws values (B, T, A) from ``noise`` (B, T, A); None draws the noise."""
+        assert self.config.action_feature is not None
         shape = (len(condition), self.config.horizon, self.config.action_feature.shape[0])
         # Float32 under autocast too: rounding errors of ten steps would be millimetres.
         sample = torch.randn(shape, device=condition.device, dtype=torch.float32) if noise is None else noise
         self.noise_scheduler.set_timesteps(self.config.num_inference_steps)
         for step in self.noise_scheduler.timesteps:
             steps = torch.full((len(sample),), int(step), dtype=torch.long, device=sample.device)
-            predicted = model.unet(sample, steps, global_cond=condition)
+            predicted = self.unet(sample, steps, global_cond=condition)
             sample = self.noise_scheduler.step(predicted.float(), step, sample).prev_sample
         return sample
 
 
+class CloudUnits(nn.Module):
+    """Centre and scale of clouds, from the dataset's statistics when training starts; saved with the checkpoint."""
+
+    center: Tensor
+    scale: Tensor
+
+    def __init__(self, stats: Statistics | None) -> None:
+        super().__init__()
+        self.register_buffer("center", torch.zeros(3))
+        self.register_buffer("scale", torch.ones(1))
+        if stats and POINT_CLOUD in stats:
+            bounds = (torch.as_tensor(stats[POINT_CLOUD][name], dtype=torch.float32) for name in ("min", "max"))
+            lower, upper = (as_points(bound).reshape(-1, 3) for bound in bounds)
+            lower, upper = lower.amin(dim=0), upper.amax(dim=0)
+            self.center.copy_((lower + upper) / 2)
+            self.scale.copy_(((upper - lower) / 2).max().clamp(min=1e-3))
+
+    def forward(self, cloud: Tensor) -> Tensor:
+        """Clouds (..., 3) [m] -> (..., 3), centred and scaled."""
+        return (cloud - self.center) / self.scale
+
+
 class BaseDiffusionHead(DiffusionHead):
-    """Loss and sampling of a `BaseDenoiser`. States and actions are normalised.
+    """The head of the paper: observed steps and a flat history of actions, in the robot's base frame, normalised.
 
     Args:
         config: of the policy.
@@ -107,46 +152,126 @@ class BaseDiffusionHead(DiffusionHead):
     """
 
     def __init__(self, config: DP3AdaptiveConfig, stats: Statistics | None) -> None:
-        super().__init__(config)
-        self.stats = stats
-
-    def network(self) -> BaseDenoiser:
-        """Returns an untrained network."""
-        return BaseDenoiser(self.config, self.stats)
+        assert config.action_feature is not None
+        body_dim = config.feature_size(STATE) + (config.feature_size(EFFORT) if config.use_effort else 0)
+        body_dim += instruction_dim(config)
+        past_dim = config.n_action_history_steps * (config.action_feature.shape[0] + 1)
+        condition_dim = config.n_obs_steps * (config.encoder_out_dim + body_dim) + (64 if past_dim else 0)
+        super().__init__(config, 3, condition_dim, kernel_size=5, clip=1.0)
+        self.cloud_units = CloudUnits(stats)
+        self.history = nn.Sequential(nn.Linear(past_dim, 128), nn.Mish(), nn.Linear(128, 64)) if past_dim else None
 
     def encode(self, actions: Tensor, window: Window) -> Tensor:
         """Returns the normalised actions, which are denoised as they are."""
         return actions
 
-    def loss(
-        self, model: Any, window: Window, actions: Tensor, is_label: Tensor
-    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns the loss of `DiffusionHead`, with noise on the history."""
-        if model.training and self.config.history_noise_std:
-            noisy = window.history + self.config.history_noise_std * torch.randn_like(window.history)
-            window = Window(window.observations, noisy, window.valid)
-        return super().loss(model, window, actions, is_label)
-
-    def sample(self, model: Any, window: Window, noise: Tensor | None) -> Tensor:
+    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, T, A), normalised, from ``noise`` (B, T, A); None draws the noise."""
-        return self.denoise(model, self.condition(model, window), noise)
+        return self.denoise(self.condition(window), noise)
 
-    def condition(self, model: BaseDenoiser, window: Window) -> Tensor:
+    def condition(self, window: Window) -> Tensor:
         """Returns the conditioning vector (B, C)."""
         observations, valid = window.observations, window.valid[..., None]
         state = observations[STATE]
-        points = model.cloud_units(observations[POINT_CLOUD])
-        body = [state[..., : self.config.state_dim]]
+        points = self.cloud_units(observations[POINT_CLOUD])
+        body = [state]
         if self.config.use_effort:
             body.append(observations[EFFORT])
         if self.config.use_instruction:
             body.append(observations[INSTRUCTION].expand(-1, state.shape[1], -1))
         # Values that hardly vary in the demonstrations explode under MIN_MAX if they vary at run time.
         body = [part.clamp(-BODY_RANGE, BODY_RANGE) for part in body]
-        encoded = model.encoder(points.flatten(0, 1)).unflatten(0, points.shape[:2])
+        encoded = self.encoder(points.flatten(0, 1)).unflatten(0, points.shape[:2])
         parts = [torch.cat([encoded, *body], dim=-1).flatten(1)]
-        if model.history is not None:
+        if self.history is not None:
             # Invalid rows hold the label.
             past = torch.cat([window.history.masked_fill(~valid, 0.0), valid.to(window.history.dtype)], dim=-1)
-            parts.append(model.history(past.flatten(1)))
+            parts.append(self.history(past.flatten(1)))
         return torch.cat(parts, dim=-1)
+
+
+class ToolDiffusionHead(ToolHead, DiffusionHead):
+    """The paper's method in the tool's frame: with a memory of contact events, redraws and refinement."""
+
+    DRAWS = 8
+    memory: ContactMemory | None
+
+    def __init__(self, config: DP3AdaptiveConfig) -> None:
+        memory = config.memory_dim if config.n_action_history_steps else 0
+        condition_dim = config.encoder_out_dim + self.body_dim(config) + memory
+        super().__init__(config, POINT_DIM, condition_dim, kernel_size=3, clip=4.0)
+        self.motions = TypicalMotions(config.num_anchors)
+        self.memory = ContactMemory(config.memory_dim) if memory else None
+        self.refiner = self.make_refiner(config)
+
+    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Returns the denoising error per sample (B,) with the refiner's loss, its weight (B,), and its parts."""
+        error, weight, _ = super().loss(window, actions, is_label)
+        if self.refiner is None:
+            return error, weight, {}
+        goal = actions[:, 0]
+        index = self.motions.nearest(geometry.motion_between(goal, self.tool(window)))
+        refinement = self.refinement_loss(window, goal, index) * is_label[:, 0]
+        parts = {"denoising_loss": error.detach().mean(), "refinement_loss": refinement.detach().mean()}
+        return error + refinement, weight, parts
+
+    def condition(self, window: Window, *, use_memory: bool = True) -> Tensor:
+        """Returns the conditioning vector (B, C); its part of the memory is zero without a contact event."""
+        parts = [self.encoder(self.point_inputs(window)), self.body_inputs(window)]
+        if self.memory is not None:
+            past = self.past(window)
+            contact = past.contact if use_memory else torch.zeros_like(past.contact)
+            parts.append(self.memory(past.events(feedback=self.config.use_feedback), contact))
+        return torch.cat(parts, dim=-1)
+
+    def encode(self, actions: Tensor, window: Window) -> Tensor:
+        """Returns poses (B, T, 10) as denoised values, relative to the present tool."""
+        relative = geometry.relative_poses(actions, window.observations[STATE][:, -1:, :ACTION_DIM])
+        position = torch.asinh(relative[..., POSITION_DIMS] / POSITION_UNIT)
+        rotation, gripper = relative[..., ROTATION_DIMS] / ROTATION_UNIT, 2 * relative[..., GRIPPER_DIM:] - 1
+        return torch.cat([position, rotation, gripper], dim=-1)
+
+    def decode(self, values: Tensor, window: Window) -> Tensor:
+        """Inverts `encode`; any values become poses."""
+        position = POSITION_UNIT * torch.sinh(values[..., POSITION_DIMS])
+        rotation = values[..., ROTATION_DIMS] * ROTATION_UNIT
+        gripper = ((values[..., GRIPPER_DIM:] + 1) / 2).clamp(0, 1)
+        return geometry.absolute_poses(torch.cat([position, rotation, gripper], dim=-1), self.tool(window)[:, None])
+
+    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
+        """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
+
+        A chunk whose first action leads to nothing is drawn again, up to `DRAWS` times. If all do, the first one
+        counts; but if all are useless with the present grip, the hand lets go.
+        """
+        inference = self.config.inference
+        past = self.past(window) if self.memory is not None else None
+        condition = self.condition(window, use_memory=inference.memory)
+        chunks, usable, useless = self._draw(window, condition, past, noise)
+        for _ in range(self.DRAWS - 1 if inference.redraw else 0):
+            if bool(usable.all()):
+                break
+            others, fits, again = self._draw(window, condition, past, None)
+            better = (fits & ~usable) | (useless & ~again)
+            chunks = torch.where(better[:, None, None], others, chunks)
+            usable, useless = usable | fits, useless & again
+        released = geometry.with_gripper(self.tool(window), 1.0)[:, None]
+        chunks = torch.where(useless[:, None, None], released, chunks)
+        return rules.back_off(inference, past, chunks)
+
+    def _draw(
+        self, window: Window, condition: Tensor, past: Past | None, noise: Tensor | None
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and whether useless (B,).
+
+        Useless are motions of a closed hand that have failed with its grip, or for which it has none.
+        """
+        chunk = self.decode(self.denoise(condition, noise), window)
+        tool = self.tool(window)
+        motion = geometry.motion_between(chunk[:, 0], tool)
+        index = self.motions.nearest(motion)
+        first, held = self.refine(window, index, chunk[:, 0])
+        shown = self.motions.shown_from(index[:, None], tool)
+        limits = rules.limit_motions(self.config.inference, motion[:, None], shown, past)
+        rejected = (limits.rejected | limits.undoing)[:, 0]
+        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, limits.useless[:, 0]

@@ -1,7 +1,9 @@
 """``dp3_adaptive``: a policy over point clouds with a memory of its own actions.
 
-Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions:
-``diffusion``, the paper's, or ``anchors``, the default, which is no diffusion.
+Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
+a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from what it has
+done. `AnchorHead`, the default, draws a typical motion of the demonstrations and refines it. Read on in `tool_head`
+(its inputs, typical motions and refinement), `rules` (what acts at inference) and `diffusion` (the paper's heads).
 """
 
 import copy
@@ -9,28 +11,28 @@ from collections import deque
 from typing import Any
 
 import torch
-from torch import Tensor
+import torch.nn.functional as F
+from lerobot.lerobot_types import TransitionKey
+from lerobot.processor import NormalizerProcessorStep, create_transition
+from torch import Tensor, nn
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_policy_adamanip.common import geometry, inputs
+from lerobot_policy_adamanip.common.contacts import ChoiceMemory
+from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
-from lerobot_policy_adamanip.common.tool_frame import mirrored_motions
-from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
-from lerobot_policy_adamanip.dp3_adaptive.anchors import AnchorHead
+from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.diffusion import BaseDiffusionHead
-from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION
-from lerobot_policy_adamanip.dp3_adaptive.tool_diffusion import ToolDiffusionHead
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import TrainingWindows, Window, balanced_weights
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
 
-TASK_INDEX = "task_index"
-
-
-def _clear_ema_count(policy: "DP3AdaptivePolicy", _: Any) -> None:
-    """Resets the cached count of updates, because loading weights changes its buffer."""
-    policy._ema_count = None
+EMA_POWER, EMA_MAX = 0.75, 0.9999
+"""The averaged weights' decay at step n is 1 - (1 + n)^-`EMA_POWER`, at most `EMA_MAX`."""
 
 
 class DP3AdaptivePolicy(CloudPolicy):
@@ -57,27 +59,31 @@ class DP3AdaptivePolicy(CloudPolicy):
         self, config: DP3AdaptiveConfig, *, dataset_stats: dict | None = None, dataset_meta: Any = None, **kwargs: Any
     ):
         super().__init__(config)
-        if config.frame == "tool":
+        self._sees_from_tool = config.method.frame == "tool"
+        if self._sees_from_tool:
             config.require_poses()
         config.require_action()
-        self.head = self._make_head(dataset_stats)
-        self.model = self.head.network()
-        # Part of the policy, so that averaged weights are saved, resumed and evaluated.
-        self.ema_model = copy.deepcopy(self.model).requires_grad_(False)
+        # The tool's frame needs the poses before the past actions too.
+        self._observed_steps = 1 + config.n_action_history_steps if self._sees_from_tool else config.n_obs_steps
+        self.model = self._make_head(dataset_stats)
+        # Part of the policy, so that averaged weights are saved, resumed and evaluated. It shares the configuration.
+        self.ema_model = copy.deepcopy(self.model, {id(config): config}).requires_grad_(False)
         self.register_buffer("ema_steps", torch.zeros((), dtype=torch.int64))
         self._ema_count: int | None = None  # set when `update` reads the buffer
-        self.register_load_state_dict_post_hook(_clear_ema_count)
+        self.register_load_state_dict_post_hook(lambda policy, _: setattr(policy, "_ema_count", None))
         self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
-        if self._windows is not None and config.frame == "tool":
-            self.fit_anchors(*demonstrated_motions(self._windows.recorded))
+        if self.recorded is not None and self._sees_from_tool:
+            self.fit_anchors(*demonstrated_motions(self.recorded))
         self.reset()
 
-    def _make_head(self, stats: schema.Statistics | None) -> AnchorHead | BaseDiffusionHead | ToolDiffusionHead:
-        if self.config.head == "anchors":
+    def _make_head(self, stats: schema.Statistics | None) -> Any:
+        if self.config.method.head == "anchors":
             return AnchorHead(self.config)
-        if self.config.frame == "tool":
-            return ToolDiffusionHead(self.config)
-        return BaseDiffusionHead(self.config, stats)
+        from lerobot_policy_adamanip.dp3_adaptive import diffusion  # imports diffusers
+
+        if self._sees_from_tool:
+            return diffusion.ToolDiffusionHead(self.config)
+        return diffusion.BaseDiffusionHead(self.config, stats)
 
     @classmethod
     def from_pretrained(
@@ -86,34 +92,40 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy._attach_dataset(dataset_meta, is_trained=True)
-        if policy._windows is not None and policy.config.frame == "base" and policy.config.has_pose_layout:
+        if policy.recorded is not None and policy._sees_from_tool:
+            motions = policy.model.motions
+            warn_of_other_motions(demonstrated_motions(policy.recorded)[0], motions.anchors, motions.spread)
+        elif policy.recorded is not None and policy.config.has_pose_layout:
             # LeRobot reads them next, for the processors of a fine-tuned policy, without calling the policy.
             dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
-        if policy._windows is not None and policy.config.frame == "tool":
-            motions, _ = demonstrated_motions(policy._windows.recorded)
-            warn_of_other_motions(motions, policy.model.motions.anchors, policy.model.motions.spread)
         return policy
 
     def _attach_dataset(self, dataset_meta: Any, *, is_trained: bool) -> None:
         """Reads the dataset columns for training."""
         self._task_weights: Tensor | None = None
-        self._windows: TrainingWindows | None = None
+        self.recorded: inputs.RecordedRows | None = None
+        self._batch_is_checked = False
         if dataset_meta is None:
             return
         read_in_batches(dataset_meta)
         self.match_clouds(dataset_meta, is_trained=is_trained)
-        self._windows = TrainingWindows(self.config, dataset_meta)
-        if self.config.balance_tasks:
-            self._task_weights = balanced_weights(dataset_meta)
+        self.recorded, config = inputs.read_recorded_rows(dataset_meta), self.config
+        stats = dataset_meta.stats
+        if config.has_pose_layout and stats:
+            stats = schema.fix_pose_statistics(stats)
+        features = {schema.STATE: config.input_features[schema.STATE], schema.ACTION: config.action_feature}
+        self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, stats)
+        if config.balance_tasks:
+            self._task_weights = inputs.balanced_weights(dataset_meta)
 
     def fit_anchors(self, motions: Tensor, openings: Tensor) -> None:
         """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
         if self.config.augmentation_mirror:
-            motions, openings = torch.cat([motions, mirrored_motions(motions)]), openings.repeat(2)
+            motions, openings = torch.cat([motions, geometry.mirrored_motions(motions)]), openings.repeat(2)
         self.model.motions.fit(motions, openings)
         self.ema_model.motions.load_state_dict(self.model.motions.state_dict())
 
-    # Training ---------------------------------------------------------------------------------------------------
+    # Training: batch -> window -> loss ------------------------------------------------------------------------------
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
         """Returns the head's loss (with ``diffusion``: paper, eq. 2) over valid labels, and metrics.
@@ -124,26 +136,63 @@ class DP3AdaptivePolicy(CloudPolicy):
             reduction: ``mean``, or ``none`` for one loss per sample (B,), whose mean is the loss.
         """
         window, actions, is_label = self.training_window(batch)
-        losses, weights, metrics = self.head.loss(self._active_model(), window, actions, is_label)
+        losses, weights, metrics = self._active_model().loss(window, actions, is_label)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
-            weights = weights * self._task_weights[batch[TASK_INDEX]]
-        if require_choice("reduction", reduction, ("mean", "none")) == "none":
+            weights = weights * self._task_weights[batch["task_index"]]
+        if reduction != "mean":
+            require_choice("reduction", reduction, ("mean", "none"))
             return len(losses) * losses * weights / weights.sum().clamp(min=1), {}
         # One transfer for all metrics, because each would synchronise with a GPU.
         metrics = dict(zip(metrics, torch.stack(list(metrics.values())).tolist(), strict=True)) if metrics else {}
         return (losses * weights).sum() / weights.sum().clamp(min=1), metrics
 
     def training_window(self, batch: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
-        """Returns the head's inputs, labels (B, T, A) and a mask of valid labels (B, T); see `forward`."""
-        if self._windows is None:
+        """Returns the head's inputs, labels (B, T, A) and a mask of valid labels (B, T); see `forward`.
+
+        Past actions are the executed ones: where a policy drove, the labels are corrections.
+        """
+        recorded, steps = self.recorded, self.config.n_action_history_steps
+        if recorded is None:
             raise ConfigurationError(
                 "The policy has nothing to learn from.",
                 got="a policy created without a dataset",
                 allowed="make_policy(config, ds_meta=dataset.meta)",
                 hint="lerobot-train --policy.type=dp3_adaptive --dataset.root=DIR",
             )
-        return self._windows.of(batch, self._observations(batch))
+        observations = self._observations(batch)
+        if observations[schema.STATE].dim() == 2:
+            observations = {key: value[:, None] for key, value in observations.items()}
+        rows = recorded.rows(batch[inputs.INDEX])
+        before, valid = recorded.around(rows, range(-steps, 0))
+        ahead, exists = recorded.around(rows, range(self.config.horizon))
+        actions = torch.cat([recorded.column(schema.EXECUTED, before), recorded.column(schema.ACTION, ahead)], dim=1)
+        actions = self._prepared(batch, schema.ACTION, actions)
+        if not self._batch_is_checked:
+            share = batch[MIRRORING].share if MIRRORING in batch else 0.0
+            inputs.check_batch(self.config, batch, observations[schema.STATE], actions[:, steps], share)
+            self._batch_is_checked = True
+        if self._sees_from_tool and steps:
+            states = self._prepared(batch, schema.STATE, recorded.column(schema.STATE, before))
+            observations[schema.STATE] = torch.cat([states, observations[schema.STATE]], dim=1)
+        is_label = exists & recorded.column(inputs.IS_LABEL, ahead)
+        return Window(observations, actions[:, :steps], valid), actions[:, steps:], is_label
+
+    def _prepared(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
+        """Mirrors and normalises recorded actions or states (B, T, D) like the batch."""
+        values = batch[MIRRORING].poses(recorded) if MIRRORING in batch else recorded
+        if key == schema.ACTION:
+            return self._normalize(create_transition(action=values))[TransitionKey.ACTION]
+        return self._normalize(create_transition(observation={key: values}))[TransitionKey.OBSERVATION][key]
+
+    @torch.no_grad()
+    def update(self) -> None:
+        """Updates the averaged weights; lerobot-train calls this after each optimizer step."""
+        # Counted in Python too: reading the buffer would synchronise with a GPU at every step.
+        self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
+        self.ema_steps += 1
+        decay = min(1 - (1 + self._ema_count) ** -EMA_POWER, EMA_MAX)
+        torch._foreach_lerp_(list(self.ema_model.parameters()), list(self.model.parameters()), 1 - decay)
 
     def _get_default_peft_targets(self) -> None:
         self._validate_peft_config(None)
@@ -157,20 +206,11 @@ class DP3AdaptivePolicy(CloudPolicy):
             hint="--policy.path=CHECKPOINT without --peft.*",
         )
 
-    @torch.no_grad()
-    def update(self) -> None:
-        """Updates the averaged weights; lerobot-train calls this after each optimizer step."""
-        # Counted in Python too: reading the buffer would synchronise with a GPU at every step.
-        self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
-        self.ema_steps += 1
-        decay = min(1 - (1 + self._ema_count) ** -self.config.ema_power, self.config.ema_max)
-        torch._foreach_lerp_(list(self.ema_model.parameters()), list(self.model.parameters()), 1 - decay)
-
-    # Run time ---------------------------------------------------------------------------------------------------
+    # Run time: observation -> window -> action ----------------------------------------------------------------------
 
     def reset(self) -> None:
         """Clears the histories at an episode's start."""
-        self._observed: deque[dict[str, Tensor]] = deque(maxlen=self.config.observed_steps)
+        self._observed: deque[dict[str, Tensor]] = deque(maxlen=self._observed_steps)
         self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
         self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
         self._chunks = ChunkGuard(self.name)
@@ -184,22 +224,14 @@ class DP3AdaptivePolicy(CloudPolicy):
         """
         observation = self._single(batch)
         self._chunks.select()
-        self._observed.append(self._kept(observation))
-        while len(self._observed) < self.config.observed_steps:
-            self._observed.append(self._observed[-1])
+        self._append_observed(self._observed, observation)
         if not self._action_queue:
-            chunk = self._generate(observation, list(self._observed), noise)
+            chunk = self._generate(observation, self._observed, noise)
             self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(dim=1))
         action = self._action_queue.popleft()
-        self._executed.append(self._as_executed(action))
+        is_pose = self._sees_from_tool or not self.config.has_pose_layout
+        self._executed.append(action if is_pose else geometry.valid_pose(action))
         return action
-
-    def _as_executed(self, action: Tensor) -> Tensor:
-        """Returns an action (B, A) as the environment receives it, normalised."""
-        if self.config.frame == "tool" or not self.config.has_pose_layout:
-            return action
-        rotation, gripper = orthonormal_6d(action[:, schema.ROTATION_DIMS]), action[:, schema.GRIPPER_DIM :].clamp(0, 1)
-        return torch.cat([action[:, schema.POSITION_DIMS], rotation, gripper], dim=-1)
 
     def replace_latest(self, action: Tensor) -> None:
         """Replaces the latest executed action by another one (B, A), normalised, and drops the rest of its chunk."""
@@ -212,18 +244,24 @@ class DP3AdaptivePolicy(CloudPolicy):
 
         With a history of actions, see `ChunkGuard`. Observed steps that `select_action` has not seen repeat the first.
         """
-        observed = deque(self._observed, maxlen=self.config.observed_steps)
+        observed = deque(self._observed, maxlen=self._observed_steps)
         observation = self._single(batch)
         if self.config.n_action_history_steps:
             self._chunks.predict(observation)
-        observed.append(self._kept(observation))
-        while len(observed) < self.config.observed_steps:
-            observed.appendleft(observed[0])
-        return self._generate(observation, list(observed), noise)
+        self._append_observed(observed, observation)
+        return self._generate(observation, observed, noise)
 
-    def _kept(self, observation: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns the part of an observation to store: in the tool's frame only the state."""
-        return {schema.STATE: observation[schema.STATE]} if self.config.frame == "tool" else observation
+    def _append_observed(self, observed: deque[dict[str, Tensor]], present: dict[str, Tensor]) -> None:
+        """Appends a step, in the tool's frame only its state, and repeats it before the episode's start."""
+        observed.append({schema.STATE: present[schema.STATE]} if self._sees_from_tool else present)
+        observed.extendleft([observed[0]] * (self._observed_steps - len(observed)))
+
+    def _generate(self, present: dict[str, Tensor], observed: deque[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
+        observations = {key: value[:, None] for key, value in present.items() if key not in observed[0]}
+        observations |= {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
+        state = observations[schema.STATE]
+        window = Window(observations, *self.executed_history(len(state), state))
+        return self._active_model().sample(window, noise)
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the run-time history: actions (B, H, A), oldest first and zero before the start; validity (B, H)."""
@@ -236,31 +274,131 @@ class DP3AdaptivePolicy(CloudPolicy):
             valid[:, -len(known) :] = True
         return history, valid
 
-    def _generate(self, present: dict[str, Tensor], observed: list[dict[str, Tensor]], noise: Tensor | None) -> Tensor:
-        observations = {key: value[:, None] for key, value in present.items() if key not in observed[0]}
-        observations |= {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
-        window = Window(
-            observations, *self.executed_history(len(observations[schema.STATE]), observations[schema.STATE])
-        )
-        return self.head.sample(self._active_model(), window, noise)
-
-    # Shared -----------------------------------------------------------------------------------------------------
-
     def _active_model(self) -> Any:
-        """Returns the trained weights in training mode, else the averaged ones."""
+        """Returns the trained head in training mode, else the averaged one."""
         return self.model if self.training or int(self.ema_steps) == 0 else self.ema_model
 
     def _observations(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Returns the inputs, with the instruction if it is used."""
-        picked = self.pick_inputs(batch)
+        observations = inputs.pick_inputs(self.config, batch)
         if self.config.use_instruction:
             # Equal at all steps of a window, so its time axis has length 1.
-            picked[INSTRUCTION] = batch[INSTRUCTION][:, None] if picked[schema.STATE].dim() == 3 else batch[INSTRUCTION]
-        return picked
+            has_steps = observations[schema.STATE].dim() == 3
+            observations[INSTRUCTION] = batch[INSTRUCTION][:, None] if has_steps else batch[INSTRUCTION]
+        return observations
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
         """Returns one step's inputs, each (B, ...). Adds missing batch dimensions to clouds; LeRobot does to states."""
         observation = self._observations(batch)
-        if observation[schema.POINT_CLOUD].dim() == 2:
-            observation[schema.POINT_CLOUD] = observation[schema.POINT_CLOUD][None]
-        return observation
+        cloud = observation[schema.POINT_CLOUD]
+        return {**observation, schema.POINT_CLOUD: cloud[None] if cloud.dim() == 2 else cloud}
+
+
+class AnchorHead(ToolHead):
+    """The head ``anchors``: draws one of the demonstrations' typical motions, adds a residual and refines the pose.
+
+    Motions in contact are millimetres long, approaches decimetres. Motions are clustered (k-means, as in Behavior
+    Transformers), and the network classifies the next cluster, which keeps the two directions of a knob apart. The
+    residual's unit is the spread of its cluster, so its error is small relative to the motion. It is no diffusion.
+
+    The memory moves the choice alone, and only after a contact event. Before, the network's logits are those without a
+    history; the rules act earlier.
+    """
+
+    DRAWS = 4
+
+    def __init__(self, config: DP3AdaptiveConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.motions = TypicalMotions(config.num_anchors)
+        self.encoder = make_encoder("mlp", POINT_DIM, config.encoder_dims, config.encoder_out_dim, config.num_points)
+        features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
+        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.logits = nn.Linear(width, config.num_anchors)
+        self.residuals = nn.Linear(width, config.num_anchors * geometry.MOTION_DIM)
+        self.refiner = self.make_refiner(config)
+        # Last, so that the weights above start as those of a network without a memory.
+        self.memory = (
+            ChoiceMemory(config.memory_dim, config.trunk_dim, config.num_anchors)
+            if config.n_action_history_steps
+            else None
+        )
+        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
+
+    def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
+        """Returns logits (B, K) and residuals (B, K, 7) without memory, and what the memory adds to the logits."""
+        features = torch.cat([self.encoder(self.point_inputs(window)), self.body_inputs(window)], dim=-1)
+        features = self.trunk(features)
+        logits, residuals = self.logits(features), self.residuals(features).reshape(-1, *self.motions.anchors.shape)
+        if self.memory is None:
+            return logits, residuals, None
+        past = self.past(window)
+        return logits, residuals, self.memory(features, past.events(feedback=self.config.use_feedback), past.contact)
+
+    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Returns the losses of choice, memory, residual and refinement; labels are poses (B, 1, 10)."""
+        motions, goal = self.motions, actions[:, 0]
+        motion = geometry.motion_between(goal, window.observations[schema.STATE][:, -1, : schema.ACTION_DIM])
+        index = motions.nearest(motion)
+        logits, residuals, added = self(window)
+        losses = {"choice_loss": F.cross_entropy(logits, index, reduction="none")}
+        if added is not None:
+            # Trains the memory alone: what is chosen without it must not depend on there being one.
+            losses["memory_loss"] = F.cross_entropy(logits.detach() + added, index, reduction="none")
+        target = (motion - motions.anchors[index]) / motions.spread[index]
+        predicted = residuals[torch.arange(len(index), device=index.device), index]
+        losses["residual_loss"] = F.smooth_l1_loss(predicted, target, reduction="none").mean(dim=-1)
+        if self.refiner is not None:
+            losses["refinement_loss"] = self.refinement_loss(window, goal, index)
+        total = torch.stack(list(losses.values())).sum(dim=0)
+        return total, is_label[:, 0].to(total.dtype), {name: loss.detach().mean() for name, loss in losses.items()}
+
+    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
+        """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor.
+
+        An anchor that leads to nothing is drawn again, up to `DRAWS` times; if all do, the first one counts.
+        """
+        inference, motions, tool = self.config.inference, self.motions, self.tool(window)
+        logits, residuals, added = self(window)
+        logits, drawn = logits.float(), motions.anchors + residuals.float() * motions.spread
+        if added is not None and inference.memory:
+            logits = logits + added.float()
+        past = self.past(window) if self.memory is not None else None
+        every = torch.arange(logits.shape[1], device=logits.device)
+        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
+        logits, rejected = logits - rules.UNDO_PENALTY * limits.undoing, limits.rejected
+        opens = motions.anchors[:, -1] >= CLOSED_HAND
+        rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
+        chosen, done = None, torch.zeros_like(rejected[:, 0])
+        for draw_noise in noises.unbind(dim=1):
+            allowed = rules.allowed_probabilities(logits.softmax(dim=-1), rejected, limits.useless, opens)
+            index = rules.draw_anchor(inference, allowed, draw_noise)
+            motion = drawn[rows, index]
+            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
+            pose, usable = self.refine(window, index, pose)
+            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
+            done = done | usable
+            if bool(done.all()):
+                break
+            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
+        assert chosen is not None
+        return rules.back_off(inference, past, chosen[:, None])
+
+    def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:
+        """Returns uniform numbers (B, draws), beginning with those of ``noise``."""
+        draws = self.DRAWS if self.config.inference.redraw else 1
+        noises = torch.rand(count, draws, device=like.device)
+        if noise is None:
+            return noises
+        first = noise.reshape(count, -1)[:, :draws]
+        return torch.cat([first, noises[:, first.shape[1] :]], dim=1)
+
+
+def _leave_out_memory(head: AnchorHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
+    """Removes the weights of a memory from those that are loaded into a head that has none.
+
+    Nothing else was trained with it, so the rest is the policy without a history.
+    """
+    if head.memory is None:
+        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
+            del weights[name]

@@ -1,4 +1,4 @@
-"""Processors of ``dp3_adaptive``: LeRobot's steps, a rigid augmentation, instructions, and orthonormal rotations."""
+"""Processors of ``dp3_adaptive``: LeRobot's steps, mirrored scenes, instructions, and orthonormal rotations."""
 
 from __future__ import annotations
 
@@ -23,117 +23,71 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep, Pipelines, SameFeaturesStep
-from lerobot_policy_adamanip.common.tool_frame import mirrored_poses
-from lerobot_policy_adamanip.common.torch_rotations import orthonormal_6d
+from lerobot_policy_adamanip.common.geometry import mirrored_poses, valid_pose
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 
 INSTRUCTION = "observation.instruction"
 INSTRUCTION_DIM = 64
-SCENE_MOTION = "scene_motion"
-"""Key of an augmented batch's `SceneMotion`, which also moves history and labels."""
+MIRRORING = "mirroring"
+"""Key of an augmented batch's `Mirroring`, which also mirrors history and labels."""
 
 
 @dataclass(frozen=True)
-class SceneMotion:
-    """Random motion of a batch's scenes: mirrored, turned about a vertical, then shifted.
+class Mirroring:
+    """Which scenes of a batch are mirrored left to right, (B,) bool, and the ``share`` they were drawn with."""
 
-    Attributes:
-        mirrored: (B,) bool, whether mirrored left to right; None if no scene is.
-        rotation: (B, 3, 3).
-        shift: (B, 3) [m].
-        center: (x, y, z) [m] of the vertical, robot base frame.
-        bounds: translation, yaw and mirror of the `RigidAugmentationStep` that drew it.
-    """
-
-    mirrored: Tensor | None
-    rotation: Tensor
-    shift: Tensor
-    center: tuple[float, float, float]
-    bounds: tuple[float, float, float]
+    mirrored: Tensor
+    share: float
 
     def points(self, points: Tensor) -> Tensor:
-        """Returns moved points (B, ..., 3+) [m]; values after the first three stay."""
-        if self.mirrored is not None:
-            other_side = torch.cat([points[..., :1], -points[..., 1:2], points[..., 2:]], dim=-1)
-            points = self._where_mirrored(other_side, points)
-        return self._turned(points)
+        """Returns points (B, ..., 3+) [m], mirrored; values after the first three stay."""
+        return self._select(torch.cat([points[..., :1], -points[..., 1:2], points[..., 2:]], dim=-1), points)
 
     def poses(self, poses: Tensor) -> Tensor:
-        """Returns moved poses (B, ..., 10+); values after the first ten stay."""
-        if self.mirrored is not None:
-            other_side = torch.cat(
-                [mirrored_poses(poses[..., : schema.ACTION_DIM]), poses[..., schema.ACTION_DIM :]], dim=-1
-            )
-            poses = self._where_mirrored(other_side, poses)
-        position = self._turned(poses[..., schema.POSITION_DIMS])
-        # Rotation 6D is the matrix' first two rows; a turn about z mixes only these.
-        rows = poses[..., schema.ROTATION_DIMS].reshape(*poses.shape[:-1], 2, 3)
-        turn = self.rotation[:, :2, :2].to(poses.dtype).reshape(len(poses), *(1,) * (poses.dim() - 2), 2, 2)
-        return torch.cat([position, (turn @ rows).flatten(-2), poses[..., schema.GRIPPER_DIM :]], dim=-1)
+        """Returns poses (B, ..., 10+), mirrored; values after the first ten stay."""
+        mirrored = torch.cat([mirrored_poses(poses[..., : schema.ACTION_DIM]), poses[..., schema.ACTION_DIM :]], dim=-1)
+        return self._select(mirrored, poses)
 
-    def _where_mirrored(self, changed: Tensor, plain: Tensor) -> Tensor:
-        assert self.mirrored is not None
-        return torch.where(self.mirrored.reshape(-1, *(1,) * (plain.dim() - 1)), changed, plain)
-
-    def _turned(self, points: Tensor) -> Tensor:
-        center = torch.as_tensor(self.center, dtype=points.dtype, device=points.device)
-        flat, turn = points[..., :3].reshape(len(points), -1, 3), self.rotation.transpose(1, 2).to(points.dtype)
-        turned = (flat - center) @ turn + center + self.shift[:, None].to(points.dtype)
-        return torch.cat([turned.reshape(*points.shape[:-1], 3), points[..., 3:]], dim=-1)
+    def _select(self, mirrored: Tensor, plain: Tensor) -> Tensor:
+        return torch.where(self.mirrored.reshape(-1, *(1,) * (plain.dim() - 1)), mirrored, plain)
 
 
-@ProcessorStepRegistry.register("adamanip_rigid_augmentation")
+@ProcessorStepRegistry.register("adamanip_mirror")
 @dataclass
-class RigidAugmentationStep(SameFeaturesStep):
-    """Moves the whole scene of each training sample: cloud, tool pose and action, in metres. Joint positions stay.
+class MirrorStep(SameFeaturesStep):
+    """Mirrors a ``share`` of training samples: cloud, tool pose and action, in metres. Joint positions stay.
 
-    Each sample has its own draw. The batch keeps it under `SCENE_MOTION` for the columns that the policy looks up.
-
-    Attributes:
-        translation: bound of a uniform shift along each axis [m].
-        yaw: bound of a uniform turn about the vertical through ``center`` [rad].
-        center: (x, y, z) [m], robot base frame.
-        mirror: share of mirrored samples.
+    Each sample has its own draw. The batch keeps it under `MIRRORING` for the columns that the policy looks up.
     """
 
-    translation: float = 0.0
-    yaw: float = 0.0
-    center: tuple[float, float, float] = (0.55, 0.0, 0.0)
-    mirror: float = 0.0
+    share: float = 0.0
 
     def __call__(self, transition: EnvTransition) -> EnvTransition:
-        """Returns a transition with a moved scene; without actions, the transition unchanged."""
-        actions = transition.get(TransitionKey.ACTION)
-        observation = transition.get(TransitionKey.OBSERVATION)
-        still = self.translation == self.yaw == self.mirror == 0
-        if not isinstance(actions, Tensor) or observation is None or still:
+        """Returns a transition with mirrored scenes; without actions, the transition unchanged."""
+        actions, observation = transition.get(TransitionKey.ACTION), transition.get(TransitionKey.OBSERVATION)
+        if not isinstance(actions, Tensor) or observation is None or self.share == 0.0:
             return transition
-        if observation[schema.POINT_CLOUD].dim() == observation[schema.STATE].dim():
-            observation = {**observation, schema.POINT_CLOUD: as_points(observation[schema.POINT_CLOUD])}
-        motion = self._draw(len(actions), actions.device)
-        moved = {
-            **observation,
-            schema.POINT_CLOUD: motion.points(observation[schema.POINT_CLOUD]),
-            schema.STATE: motion.poses(observation[schema.STATE]),
-        }
-        extra = {**(transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}), SCENE_MOTION: motion}
+        mirroring = Mirroring(torch.rand(len(actions), device=actions.device) < self.share, self.share)
+        cloud, state = observation[schema.POINT_CLOUD], observation[schema.STATE]
+        cloud = as_points(cloud) if cloud.dim() == state.dim() else cloud
         changed = {
             **transition,
-            TransitionKey.OBSERVATION: moved,
-            TransitionKey.ACTION: motion.poses(actions),
-            TransitionKey.COMPLEMENTARY_DATA: extra,
+            TransitionKey.OBSERVATION: {
+                **observation,
+                schema.POINT_CLOUD: mirroring.points(cloud),
+                schema.STATE: mirroring.poses(state),
+            },
+            TransitionKey.ACTION: mirroring.poses(actions),
+            TransitionKey.COMPLEMENTARY_DATA: {
+                **(transition.get(TransitionKey.COMPLEMENTARY_DATA) or {}),
+                MIRRORING: mirroring,
+            },
         }
         return cast(EnvTransition, changed)
 
-    def _draw(self, batch: int, device: torch.device) -> SceneMotion:
-        mirrored = torch.rand(batch, device=device) < self.mirror if self.mirror else None
-        rotation = _about_z((2 * torch.rand(batch, device=device) - 1) * self.yaw)
-        shift = (2 * torch.rand(batch, 3, device=device) - 1) * self.translation
-        return SceneMotion(mirrored, rotation, shift, self.center, (self.translation, self.yaw, self.mirror))
-
     def get_config(self) -> dict[str, Any]:
         """Returns the options, JSON-able."""
-        return {**asdict(self), "center": list(self.center)}
+        return asdict(self)
 
 
 @ProcessorStepRegistry.register("adamanip_orthonormalise")
@@ -146,12 +100,7 @@ class OrthonormaliseStep(SameFeaturesStep):
         action = transition.get(TransitionKey.ACTION)
         if not isinstance(action, Tensor) or action.shape[-1] != schema.ACTION_DIM:
             return transition
-        rotation, gripper = (
-            orthonormal_6d(action[..., schema.ROTATION_DIMS]),
-            action[..., schema.GRIPPER_DIM :].clamp(0, 1),
-        )
-        pose = torch.cat([action[..., schema.POSITION_DIMS], rotation, gripper], dim=-1)
-        return cast(EnvTransition, {**transition, TransitionKey.ACTION: pose})
+        return cast(EnvTransition, {**transition, TransitionKey.ACTION: valid_pose(action)})
 
 
 def instruction_dim(config: DP3AdaptiveConfig) -> int:
@@ -192,13 +141,6 @@ class InstructionStep(SameFeaturesStep):
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: observation})
 
 
-def _about_z(angle: Tensor) -> Tensor:
-    """Returns rotations (B, 3, 3) about z by angles (B,) [rad]."""
-    cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
-    rows = [torch.stack(row, dim=-1) for row in ((cos, -sin, zero), (sin, cos, zero), (zero, zero, one))]
-    return torch.stack(rows, dim=-2)
-
-
 def make_dp3_adaptive_pre_post_processors(
     config: DP3AdaptiveConfig, dataset_stats: dict[str, dict[str, Tensor]] | None = None
 ) -> Pipelines:
@@ -215,7 +157,6 @@ def make_dp3_adaptive_pre_post_processors(
     inputs += [InstructionStep(), steps.to_device] if config.use_instruction else [steps.to_device]
     outputs: list[ProcessorStep] = [steps.unnormalize]
     if config.has_pose_layout:
-        moved = {name: getattr(config, f"augmentation_{name}") for name in ("translation", "yaw", "center", "mirror")}
-        inputs.append(RigidAugmentationStep(**{name: value for name, value in moved.items() if value is not None}))
+        inputs.append(MirrorStep(config.augmentation_mirror))
         outputs.append(OrthonormaliseStep())
     return cast(Pipelines, make_policy_processor_pipelines([*inputs, steps.normalize], [*outputs, steps.to_cpu]))

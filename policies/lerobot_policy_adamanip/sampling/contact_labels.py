@@ -12,7 +12,7 @@ from torch import Tensor
 from lerobot_adamanip.contract.schema import ACTION_DIM, POSITION_DIMS
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
-from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, motion_between
+from lerobot_policy_adamanip.common.geometry import MOTION_DIM, motion_between
 
 MAX_CONTACTS = 4
 """Largest number of contacts per row."""

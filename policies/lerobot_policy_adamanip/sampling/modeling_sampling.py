@@ -8,11 +8,11 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.schema import POSITION_DIMS
 from lerobot_policy_adamanip.affordance import networks, plans
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
+from lerobot_policy_adamanip.affordance.losses import error_by_group, logistic_loss, sum_losses, valid_rows
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import error_by_group, logistic_loss, sum_losses, valid_rows
+from lerobot_policy_adamanip.common.geometry import MOTION_DIM, pose_after, reverse
+from lerobot_policy_adamanip.common.inputs import INDEX
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
-from lerobot_policy_adamanip.common.recorded_rows import INDEX
-from lerobot_policy_adamanip.common.tool_frame import MOTION_DIM, pose_after, reverse
 from lerobot_policy_adamanip.sampling.configuration_sampling import SamplingConfig
 from lerobot_policy_adamanip.sampling.contact_labels import ContactLabels, draw_contact, label_contacts
 

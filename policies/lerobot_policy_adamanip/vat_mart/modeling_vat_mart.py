@@ -6,20 +6,32 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.schema import POSITION_DIMS
+from lerobot_adamanip.contract.schema import POSITION_DIMS, ROTATION_DIMS
 from lerobot_policy_adamanip.affordance import networks
 from lerobot_policy_adamanip.affordance.demonstrations import Demonstrations
-from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, GRASP_GROUPS, OFFSET_UNIT, PART_RADIUS_M
+from lerobot_policy_adamanip.affordance.losses import error_by_group, free_bits, logistic_loss, sum_losses, valid_rows
+from lerobot_policy_adamanip.affordance.plans import (
+    GRASP_DIM,
+    GRASP_GROUPS,
+    OFFSET_UNIT,
+    PART_RADIUS_M,
+    approach,
+    decode_grasp,
+    encode_grasp,
+)
 from lerobot_policy_adamanip.affordance.policy import AffordancePolicy
-from lerobot_policy_adamanip.common.losses import error_by_group, free_bits, logistic_loss, sum_losses, valid_rows
-from lerobot_policy_adamanip.common.recorded_rows import INDEX
-from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, matrix_from_rotation_vector
+from lerobot_policy_adamanip.common.geometry import angle_between, matrix_from_6d, matrix_from_rotation_vector
+from lerobot_policy_adamanip.common.inputs import INDEX
 from lerobot_policy_adamanip.vat_mart.configuration_vat_mart import VatMartConfig
 from lerobot_policy_adamanip.vat_mart.plan_labels import PlanLabels, label_plans
-from lerobot_policy_adamanip.vat_mart.trajectory import WAYPOINT_GROUPS, encode_trajectory, key_frames, trajectory_dim
 
 NEGATIVE_TURN_RAD, NEGATIVE_SHIFT_M = (0.2, 3.1), (0.01, 0.06)
 """Ranges of turns and shifts after which a grasp does not hold."""
+WAYPOINT_GROUPS = (3, 6)
+"""Sizes of a key frame's position and rotation."""
+WAYPOINT_DIM = sum(WAYPOINT_GROUPS)
+WAYPOINT_UNIT = 0.15
+"""Unit of positions relative to the grasp [m]."""
 
 
 class VatMartNetwork(nn.Module):
@@ -28,7 +40,7 @@ class VatMartNetwork(nn.Module):
     def __init__(self, config: VatMartConfig) -> None:
         super().__init__()
         self.config = config
-        numbers, features = trajectory_dim(config.waypoints), config.feature_dim
+        numbers, features = GRASP_DIM + WAYPOINT_DIM * config.waypoints, config.feature_dim
         self.proposal_features, self.score_features, self.action_features = (
             networks.PlaceFeatures(config) for _ in range(3)
         )
@@ -171,3 +183,31 @@ def perturb_grasp(trajectory: Tensor) -> Tensor:
         ],
         dim=-1,
     )
+
+
+def encode_trajectory(grasp: Tensor, waypoints: Tensor, place: Tensor) -> Tensor:
+    """Grasps (..., 10), poses in contact (..., K, 10), places (..., 3) [m] -> (..., 10 + 9 K).
+
+    Each pose gives its position relative to the grasp along the base's axes, and its rotation 6D relative to the grasp
+    (a factor on the right).
+    """
+    shift = (waypoints[..., POSITION_DIMS] - grasp[..., None, POSITION_DIMS]) / WAYPOINT_UNIT
+    held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]
+    turn = held.transpose(-1, -2) @ matrix_from_6d(waypoints[..., ROTATION_DIMS])
+    relative = torch.cat([shift, turn[..., :2, :].flatten(-2)], dim=-1)
+    return torch.cat([encode_grasp(grasp, place), relative.flatten(-2)], dim=-1)
+
+
+def key_frames(code: Tensor, place: Tensor) -> Tensor:
+    """Inverts `encode_trajectory`: any numbers become a plan (..., 3 + K, 10), with closed fingers in contact.
+
+    It is pre-grasp, grasp, fingers closed, and the poses in contact.
+    """
+    grasp = decode_grasp(code[..., :GRASP_DIM], place)
+    relative = code[..., GRASP_DIM:].reshape(*code.shape[:-1], -1, WAYPOINT_DIM)
+    held = matrix_from_6d(grasp[..., ROTATION_DIMS])[..., None, :, :]
+    position = grasp[..., None, POSITION_DIMS] + WAYPOINT_UNIT * relative[..., :3]
+    rotation = held @ matrix_from_6d(relative[..., 3:])
+    closed = torch.zeros_like(position[..., :1])
+    waypoints = torch.cat([position, rotation[..., :2, :].flatten(-2), closed], dim=-1)
+    return torch.cat([approach(grasp), waypoints], dim=-2)

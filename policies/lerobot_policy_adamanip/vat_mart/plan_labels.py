@@ -108,8 +108,7 @@ def _moved(demonstrations: Demonstrations, contact: Contact, waypoints: int) -> 
 
 def _farthest(joints: NDArray[np.float32]) -> NDArray[np.float32]:
     """Returns each joint's value farthest from zero, (R, J) -> (J,)."""
-    farthest: NDArray[np.float32] = joints[np.abs(joints).argmax(axis=0), np.arange(joints.shape[1])]
-    return farthest
+    return joints[np.abs(joints).argmax(axis=0), np.arange(joints.shape[1])]  # type: ignore[no-any-return]
 
 
 def _needed(demonstrations: Demonstrations) -> tuple[NDArray[np.float32], NDArray[np.int64]]:

@@ -15,7 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.adaafford.interactions import InteractionMemory
 from lerobot_policy_adamanip.adaafford.network import action_numbers, decode_proposal, encode_proposal, trim_padding
 from lerobot_policy_adamanip.affordance.plans import GRASP_DIM, PART_RADIUS_M
-from lerobot_policy_adamanip.common.tool_frame import motion_between
+from lerobot_policy_adamanip.common.geometry import motion_between
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 SMALL: dict[str, Any] = {

@@ -13,7 +13,6 @@ from lerobot.policies.factory import make_policy, make_pre_post_processors
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_policy_adamanip.dp3_adaptive.modeling_dp3_adaptive import DP3AdaptivePolicy
-from lerobot_policy_adamanip.dp3_adaptive.tool_inputs import past_of
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -57,11 +56,11 @@ def test_a_checkpoint_can_be_used_without_its_memory(make_tiny: MakeTiny, batch_
     plain = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--n_action_history_steps=0"])
     loaded = DP3AdaptivePolicy.from_pretrained(tmp_path, config=plain)
     window, *_ = policy.training_window(batch_of(dataset, before))
-    assert past_of(window).contact.any()
+    assert policy.model.past(window).contact.any()
     assert loaded.model.memory is None
     for model in (policy.model, policy.ema_model):
         model.memory = None
-    found = [each.head.predict(each._active_model().eval(), window)[:2] for each in (policy, loaded)]
+    found = [each.model.eval()(window)[:2] for each in (policy, loaded)]
     assert all(torch.equal(*pair) for pair in zip(*found, strict=True))
 
 

@@ -24,7 +24,7 @@ from toy_demos import REPO_ID
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
-from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import OrthonormaliseStep, RigidAugmentationStep
+from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import MirrorStep, OrthonormaliseStep
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -56,31 +56,12 @@ def raw(adaptive_toy_root: Path) -> dict[str, Any]:
     return {**batch, schema.POINT_CLOUD: as_points(batch[schema.POINT_CLOUD])}
 
 
-def _moved(raw: dict[str, Any], **options: Any) -> dict[str, Any]:
-    return dict(transition_to_batch(RigidAugmentationStep(**options)(batch_to_transition(raw))))
+def _mirrored(raw: dict[str, Any], share: float) -> dict[str, Any]:
+    return dict(transition_to_batch(MirrorStep(share)(batch_to_transition(raw))))
 
 
 def _matrices(poses: torch.Tensor) -> torch.Tensor:
     return torch.from_numpy(matrix_from_rotation_6d(poses[..., 3:9].double().numpy()))
-
-
-def test_a_moved_scene_is_the_same_scene(raw: dict[str, Any]) -> None:
-    known, center = copy.deepcopy(raw), (0.3, -0.2, 0.9)
-    for options in ({"translation": 0.2}, {"yaw": 1.0, "center": center}, {"translation": 0.1, "yaw": 3.0}):
-        moved = _moved(raw, **options)
-        assert not torch.allclose(moved[schema.POINT_CLOUD], raw[schema.POINT_CLOUD])
-        for batch_before, batch_after in zip(_views(raw), _views(moved), strict=True):
-            torch.testing.assert_close(batch_after, batch_before, rtol=0, atol=1e-5)
-        if "center" in options:  # about the vertical through it
-            for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
-                torch.testing.assert_close(moved[key][..., 2], raw[key][..., 2], rtol=0, atol=1e-6)
-                before, after = (batch[key][..., :2] - torch.tensor(center[:2]) for batch in (raw, moved))
-                torch.testing.assert_close(after.norm(dim=-1), before.norm(dim=-1), rtol=0, atol=1e-5)
-    for key in (schema.EFFORT, "action_is_pad"):
-        assert torch.equal(moved[key], raw[key]), key
-    assert moved["task"] == raw["task"]
-    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):  # the given batch is not written to
-        assert torch.equal(known[key], raw[key])
 
 
 def _views(batch: dict[str, Any]) -> list[torch.Tensor]:
@@ -99,7 +80,8 @@ def _views(batch: dict[str, Any]) -> list[torch.Tensor]:
 
 def test_a_mirrored_scene_is_the_same_scene_left_for_right(raw: dict[str, Any]) -> None:
     """Seen from the tool, all is where it was, but for the sign of y; turns about y keep theirs, others change it."""
-    moved, across = _moved(raw, mirror=1.0), torch.diag(torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64))
+    known = copy.deepcopy(raw)
+    moved, across = _mirrored(raw, 1.0), torch.diag(torch.tensor([1.0, -1.0, 1.0], dtype=torch.float64))
     found, wanted = _views(moved), _views(raw)
     torch.testing.assert_close(found[0], wanted[0] @ across, rtol=0, atol=1e-5)
     torch.testing.assert_close(found[1], wanted[1] @ across, rtol=0, atol=1e-5)
@@ -109,6 +91,10 @@ def test_a_mirrored_scene_is_the_same_scene_left_for_right(raw: dict[str, Any]) 
     torch.testing.assert_close(torch.linalg.det(_matrices(moved[schema.ACTION])), torch.ones(4, 7, dtype=torch.float64))
     torch.testing.assert_close(moved[schema.POINT_CLOUD][..., 1], -raw[schema.POINT_CLOUD][..., 1])
     torch.testing.assert_close(moved[schema.POINT_CLOUD][..., ::2], raw[schema.POINT_CLOUD][..., ::2])
+    for key in (schema.EFFORT, "action_is_pad"):
+        assert torch.equal(moved[key], raw[key]), key
+    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):  # the given batch is not written to
+        assert torch.equal(known[key], raw[key])
 
 
 def test_a_share_of_the_samples_is_mirrored_whole(raw: dict[str, Any]) -> None:
@@ -116,7 +102,7 @@ def test_a_share_of_the_samples_is_mirrored_whole(raw: dict[str, Any]) -> None:
         key: value.repeat_interleave(50, 0) if hasattr(value, "repeat_interleave") else value
         for key, value in raw.items()
     }
-    moved = _moved(many, mirror=0.3)
+    moved = _mirrored(many, 0.3)
     sides = []
     for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
         kept = (moved[key] == many[key]).flatten(1).all(dim=1)
@@ -128,37 +114,20 @@ def test_a_share_of_the_samples_is_mirrored_whole(raw: dict[str, Any]) -> None:
     assert 0.2 < 1 - sides[0].double().mean() < 0.4
 
 
-def test_every_sample_moves_on_its_own_and_its_time_steps_together(raw: dict[str, Any]) -> None:
-    moved = _moved(raw, translation=0.2)
-    shift = moved[schema.POINT_CLOUD] - raw[schema.POINT_CLOUD]
-    per_sample = shift.flatten(1, 2)
-    torch.testing.assert_close(per_sample, per_sample[:, :1].expand_as(per_sample), rtol=0, atol=1e-6)
-    assert len({tuple(row.tolist()) for row in per_sample[:, 0].round(decimals=5)}) == len(per_sample)
-    assert shift.abs().max() <= 0.2 + 1e-6
-    actions = (moved[schema.ACTION] - raw[schema.ACTION])[..., :3]
-    torch.testing.assert_close(actions, per_sample[:, :1].expand_as(actions), rtol=0, atol=1e-6)
-
-
-def test_nothing_is_moved_by_nothing_or_without_actions(raw: dict[str, Any]) -> None:
+def test_nothing_is_mirrored_by_nothing_or_without_actions(raw: dict[str, Any]) -> None:
     transition = batch_to_transition(raw)
-    assert RigidAugmentationStep()(transition) is transition
+    assert MirrorStep()(transition) is transition
     running = batch_to_transition({**raw, schema.ACTION: None})
-    assert RigidAugmentationStep(translation=0.3, yaw=1.0)(running) is running
-    barely = _moved(raw, yaw=1e-9)
-    torch.testing.assert_close(barely[schema.ACTION], raw[schema.ACTION], rtol=0, atol=1e-6)
+    assert MirrorStep(0.5)(running) is running
 
 
-def test_a_cloud_of_a_dataset_moves_as_its_points(raw: dict[str, Any]) -> None:
-    made = []
-    for cloud in (raw[schema.POINT_CLOUD], raw[schema.POINT_CLOUD].flatten(-2)):
-        torch.manual_seed(3)
-        made.append(_moved({**raw, schema.POINT_CLOUD: cloud}, translation=0.2, yaw=0.5, mirror=0.5))
-    for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
-        assert torch.equal(made[0][key], made[1][key]), key
-    colours = torch.rand(*raw[schema.POINT_CLOUD].shape[:-1], 3)
-    coloured = torch.cat([raw[schema.POINT_CLOUD], colours], dim=-1)
-    moved = _moved({**raw, schema.POINT_CLOUD: coloured}, translation=0.2, yaw=0.5)
-    assert torch.equal(moved[schema.POINT_CLOUD][..., 3:], colours)
+def test_a_cloud_of_a_dataset_is_mirrored_as_its_points(raw: dict[str, Any]) -> None:
+    cloud = raw[schema.POINT_CLOUD]
+    points, flat = (_mirrored({**raw, schema.POINT_CLOUD: each}, 1.0) for each in (cloud, cloud.flatten(-2)))
+    assert torch.equal(points[schema.POINT_CLOUD], flat[schema.POINT_CLOUD])
+    colours = torch.rand(*cloud.shape[:-1], 3)
+    coloured = _mirrored({**raw, schema.POINT_CLOUD: torch.cat([cloud, colours], dim=-1)}, 1.0)
+    assert torch.equal(coloured[schema.POINT_CLOUD][..., 3:], colours)
 
 
 def test_any_ten_numbers_become_a_pose() -> None:

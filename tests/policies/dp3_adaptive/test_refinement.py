@@ -9,12 +9,12 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
-from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after
-from lerobot_policy_adamanip.dp3_adaptive.approach import _less_turned
-from lerobot_policy_adamanip.dp3_adaptive.refinement import Refiner
+from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
+from lerobot_policy_adamanip.dp3_adaptive import tool_head
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import Refiner
 
-REACH, PLATE = 0.1, (0.2, 0.1, 0.05)
-"""Default of `refinement_reach`; a place beside a wedge, in its frame [m]."""
+PLATE = (0.2, 0.1, 0.05)
+"""A place beside a wedge, in its frame [m]."""
 Scene = tuple[Tensor, Tensor]
 NO_INSTRUCTION = torch.zeros(16, 0)
 
@@ -30,7 +30,7 @@ def scenes(shape: np.ndarray, draw: np.random.Generator, *, swapped: bool = Fals
 
 def taught(shown: list[Scene], *, steps: int, instruction: Tensor = NO_INSTRUCTION) -> Refiner:
     """Returns a refiner after training on scenes."""
-    refiner = Refiner(48, instruction.shape[1])
+    refiner = Refiner(3, 48, instruction.shape[1])
     optimizer = torch.optim.AdamW(refiner.parameters(), lr=3e-3)
     for step in range(steps):
         optimizer.zero_grad()
@@ -49,7 +49,7 @@ def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None
     cloud, goal = scenes(bar, draw, swapped=True)
     twist = torch.zeros(16, 7)
     twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)
-    found, _ = bars.refined(cloud, pose_after(twist, goal), NO_INSTRUCTION, 3, REACH)
+    found, _ = bars.refined(cloud, pose_after(twist, goal), NO_INSTRUCTION)
     left = motion_between(found, goal)[:, 5].abs()
     assert (torch.minimum(left, np.pi - left) < 0.25).float().mean() > 0.9
 
@@ -75,11 +75,16 @@ def refiner() -> Refiner:
     return taught([wedges(draw) for _ in range(4)], steps=400)
 
 
-def test_a_refiner_finds_what_it_was_shown_wherever_it_stands(refiner: Refiner) -> None:
+def test_a_refiner_finds_what_it_was_shown_wherever_it_stands(
+    refiner: Refiner, monkeypatch: pytest.MonkeyPatch
+) -> None:
     draw = np.random.default_rng(1)
     cloud, goal = wedges(draw)
     start = near(goal, draw)
-    ends = [refiner.refined(cloud, start, NO_INSTRUCTION, steps, REACH)[0][:, :3] for steps in (0, 1, 3)]
+    ends = [start[:, :3]]
+    for steps in (1, 3):
+        monkeypatch.setattr(refiner, "steps", steps)
+        ends.append(refiner.refined(cloud, start, NO_INSTRUCTION)[0][:, :3])
     missed = [(end - goal[:, :3]).norm(dim=-1).median().item() for end in ends]
     assert missed[0] > 0.015
     assert missed[1] < 0.5 * missed[0]
@@ -90,9 +95,9 @@ def test_it_tells_what_can_be_held_from_what_was_never_held(refiner: Refiner) ->
     draw = np.random.default_rng(2)
     cloud, goal = wedges(draw)
     beside = pose_after(torch.tensor([*PLATE, 0.0, 0.0, 0.0, 1.0]).expand(16, 7), goal)
-    _, held = refiner.refined(cloud, near(goal, draw), NO_INSTRUCTION, 3, REACH)
+    _, held = refiner.refined(cloud, near(goal, draw), NO_INSTRUCTION)
     assert held.float().mean() > 0.9
-    _, held = refiner.refined(cloud, near(beside, draw), NO_INSTRUCTION, 3, REACH)
+    _, held = refiner.refined(cloud, near(beside, draw), NO_INSTRUCTION)
     assert held.float().mean() < 0.1
 
 
@@ -106,7 +111,7 @@ def test_the_instruction_says_which_of_two_places_is_wanted() -> None:
     trained = taught(shown, steps=400, instruction=instruction)
     cloud, corner = wedges(draw)
     goal, other = (pose_after(each, corner)[:, :3] for each in (along, along.flip(0)))
-    found, _ = trained.refined(cloud, near(corner, draw), instruction, 3, REACH)
+    found, _ = trained.refined(cloud, near(corner, draw), instruction)
     missed, missed_other = ((found[:, :3] - each).norm(dim=-1).median() for each in (goal, other))
     assert missed < 0.01
     assert missed_other > 0.03
@@ -114,13 +119,15 @@ def test_the_instruction_says_which_of_two_places_is_wanted() -> None:
 
 @pytest.mark.parametrize("reach", [0.003, 0.02, 0.1])
 def test_no_pose_is_shifted_beyond_the_reach_and_one_that_would_be_has_nothing_to_hold(
-    refiner: Refiner, reach: float
+    refiner: Refiner, monkeypatch: pytest.MonkeyPatch, reach: float
 ) -> None:
     draw = np.random.default_rng(3)
     cloud, goal = wedges(draw)
     start = near(goal, draw)
-    free, holds = refiner.refined(cloud, start, NO_INSTRUCTION, 3, 10.0)
-    found, held = refiner.refined(cloud, start, NO_INSTRUCTION, 3, reach)
+    monkeypatch.setattr(tool_head, "REACH_M", 10.0)
+    free, holds = refiner.refined(cloud, start, NO_INSTRUCTION)
+    monkeypatch.setattr(tool_head, "REACH_M", reach)
+    found, held = refiner.refined(cloud, start, NO_INSTRUCTION)
     wanted, shift = (each[:, :3] - start[:, :3] for each in (free, found))
     length = wanted.norm(dim=-1)
     assert (shift.norm(dim=-1) <= reach + 1e-6).all()
@@ -128,15 +135,3 @@ def test_no_pose_is_shifted_beyond_the_reach_and_one_that_would_be_has_nothing_t
     torch.testing.assert_close(shift, wanted * (reach / length).clamp(max=1)[:, None], rtol=0, atol=1e-6)
     assert torch.equal(found[:, 3:], free[:, 3:])
     assert torch.equal(found[:, 9], start[:, 9])
-
-
-def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
-    turn = torch.zeros(4, 7)
-    turn[:, 5] = torch.tensor([0.1, 1.4, 1.8, 3.0])
-    home = torch.tensor([[0.5, 0.1, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0]]).expand(4, -1)
-    grasp = pose_after(turn, home)
-    found = _less_turned(grasp, home, home)
-    torch.testing.assert_close(found[:2], grasp[:2])
-    torch.testing.assert_close(motion_between(found, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
-    # If the chosen pose is turned too, it is kept, as in demonstrations.
-    torch.testing.assert_close(_less_turned(grasp, grasp, home), grasp)

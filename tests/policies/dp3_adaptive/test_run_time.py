@@ -18,8 +18,8 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 def test_every_sampler_gives_finite_actions_that_noise_and_seed_decide(
     make_tiny: MakeTiny, observation_of: Any
 ) -> None:
-    for kind, target in itertools.product(("DDPM", "DDIM"), ("epsilon", "sample")):
-        policy, before, after, dataset = make_tiny(noise_scheduler_type=kind, prediction_type=target, n_action_steps=2)
+    for kind, preset in itertools.product(("DDPM", "DDIM"), ("paper", "dp3")):  # epsilon, sample
+        policy, before, after, dataset = make_tiny(preset=preset, noise_scheduler_type=kind, n_action_steps=2)
         policy.eval()
         observation = observation_of(dataset, before, 3, 14)
         noise = torch.randn(2, policy.config.horizon, 10)
@@ -45,10 +45,10 @@ def test_a_chunk_predicted_changes_nothing_and_is_the_one_that_follows(
     for step in range(4):
         # lerobot-eval's batches hold more than the observation.
         batch = {**observation_of(dataset, before, step), schema.ACTION: None, "task": ["open the safe"], "info": {}}
-        given, state = copy.deepcopy(batch), [len(policy._observed), len(policy._executed), len(policy._action_queue)]
+        given, history = copy.deepcopy(batch), policy.executed_history(1, noise)
         chunk = policy.predict_action_chunk(batch, noise=noise)
         assert torch.equal(policy.predict_action_chunk(batch, noise=noise), chunk)
-        assert [len(policy._observed), len(policy._executed), len(policy._action_queue)] == state
+        assert all(torch.equal(*pair) for pair in zip(policy.executed_history(1, noise), history, strict=True))
         action = policy.select_action(batch, noise=noise)
         if step % 2 == 0:
             assert torch.equal(action, chunk[:, 0])

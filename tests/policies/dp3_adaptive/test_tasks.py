@@ -14,14 +14,13 @@ from lerobot.processor.converters import batch_to_transition, transition_to_batc
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.contacts import Past
+from lerobot_policy_adamanip.common.inputs import balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import (
     INSTRUCTION,
     INSTRUCTION_DIM,
     InstructionStep,
     instruction_vector,
 )
-from lerobot_policy_adamanip.dp3_adaptive.training_windows import balanced_weights
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -99,23 +98,3 @@ def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, batch_of: Any) -> Non
     torch.manual_seed(0)
     weighed, _ = policy(batch)
     assert float(weighed.detach()) == pytest.approx(float((each[0] + 3 * each[1] + each[2]) / 5), rel=1e-5)
-
-
-# What came of it ----------------------------------------------------------------------------------------------------
-
-
-def test_without_feedback_a_memory_holds_commands_alone() -> None:
-    draw = torch.Generator().manual_seed(3)
-    poses = torch.zeros(2, 4, 10)
-    poses[..., 3], poses[..., 7] = 1.0, 1.0
-    commands = poses[:, 1:].clone()
-    commands[..., :3] += 0.05 * torch.randn(2, 3, 3, generator=draw)
-    other = poses.clone()
-    other[:, -1, :3] += 0.02  # the arm went elsewhere than it was sent
-    valid = torch.ones(2, 3, dtype=torch.bool)
-    same = [Past(commands, each, valid).events(feedback=False) for each in (poses, other)]
-    felt = [Past(commands, each, valid).events() for each in (poses, other)]
-    assert torch.equal(*same)
-    assert not torch.equal(*felt)
-    assert same[0].shape == felt[0].shape
-    torch.testing.assert_close(same[0][..., :7], felt[0][..., :7])

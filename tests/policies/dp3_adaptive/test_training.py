@@ -1,17 +1,24 @@
-"""The loss, its gradients, and the averaged weights."""
+"""The loss, its labels, its gradients, the averaged weights, half precision and fine-tuning."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
-from lerobot_adamanip.contract.schema import DONE
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, IS_LABEL, read_recorded_rows
+from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions
+from lerobot_policy_adamanip.dp3_adaptive import modeling_dp3_adaptive
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 
@@ -19,7 +26,7 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, batch_of: Any) -> None:
     policy, before, _, dataset = make_tiny()
     policy.eval()
-    end = next(row for row in range(len(dataset)) if dataset[row][DONE])
+    end = next(row for row in range(len(dataset)) if dataset[row][schema.DONE])
     batch = batch_of(dataset, before, end - 1, 3)
     window, labels, real = policy.training_window(batch)
     assert real.tolist() == [[True] + [False] * 3, [True] * 4]
@@ -56,7 +63,7 @@ def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
 
 
 def test_averaged_weights_follow_and_are_used_only_outside_training(
-    make_tiny: MakeTiny, batch_of: Any, observation_of: Any
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     policy, before, _, dataset = make_tiny(n_action_history_steps=0)
     trained, averaged = list(policy.model.parameters()), list(policy.ema_model.parameters())
@@ -67,7 +74,6 @@ def test_averaged_weights_follow_and_are_used_only_outside_training(
     with torch.no_grad():
         for weight in trained:
             weight.add_(1.0)
-    assert policy.eval()._active_model() is policy.model  # an untrained average is not used
     policy.train().update()
     assert int(policy.ema_steps) == 1
     for weight, average, old in zip(trained, averaged, start, strict=True):
@@ -76,7 +82,7 @@ def test_averaged_weights_follow_and_are_used_only_outside_training(
         policy.update()
     assert int(policy.ema_steps) == 301
     torch.testing.assert_close(averaged, trained, rtol=1e-3, atol=1e-3)
-    policy.config.ema_max = 0.5
+    monkeypatch.setattr(modeling_dp3_adaptive, "EMA_MAX", 0.5)
     with torch.no_grad():
         averaged[0].sub_(1.0)
     policy.update()
@@ -123,3 +129,69 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
     assert not torch.equal(act(cloud + 0.1), full)
     with pytest.raises(ConfigurationError, match="31"):
         act(cloud[:, :31])
+
+
+@pytest.mark.skipif(not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="this CPU does not run bfloat16")
+@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
+def test_a_policy_trains_and_acts_in_half_precision(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str
+) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset, use_amp=True)
+    with torch.autocast("cpu", torch.bfloat16):
+        loss, _ = policy.forward(batch_of(dataset, before))
+        loss.backward()
+        assert all(weight.grad is not None for weight in policy.get_optim_params())
+        action = policy.eval().select_action(observation_of(dataset, before, 0, 5))
+    assert torch.isfinite(loss)
+    assert action.dtype == torch.float32
+    assert torch.isfinite(action).all()
+
+
+@pytest.mark.parametrize("preset", ["fast", "dp3"])
+def test_a_policy_with_an_average_refuses_adapters(make_tiny: MakeTiny, preset: str) -> None:
+    policy, *_ = make_tiny(preset=preset)
+    policy.config.pretrained_path = "checkpoint"
+    for hook in (policy._get_default_peft_targets, lambda: policy._validate_peft_config(object())):
+        with pytest.raises(ConfigurationError, match=r"(?s)cannot be trained with PEFT.*without --peft"):
+            hook()
+
+
+@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
+def test_the_last_row_of_an_episode_has_no_label(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset)
+    policy.eval()
+    end = next(row for row in range(len(dataset)) if dataset[row][schema.DONE])
+    each, _ = policy.forward(batch_of(dataset, before, end, 3), reduction="none")
+    assert each[0] == 0
+    assert each[1] > 0
+    _, _, is_label = policy.training_window(batch_of(dataset, before, end - 2, end + 2))
+    assert is_label[0].tolist() == ([True, True] + [False] * 2)[: policy.config.horizon]
+    assert is_label[1].all()
+
+
+def test_the_files_say_where_episodes_end(tmp_path: Path) -> None:
+    pose = np.array([0.5, 0, 0.7, 1, 0, 0, 0, 1, 0, 0.3], np.float32)
+    columns = {INDEX: range(5), EPISODE: [0, 0, 1, 1, 1], schema.STATE: [pose] * 5, schema.ACTION: [pose] * 5}
+    ends = {schema.DONE: [False, True, False, True, True]}
+    (tmp_path / "data").mkdir()
+    pq.write_table(pa.table({**columns, **ends}), tmp_path / "data" / "a.parquet")
+    for extra, labels in ((ends, [True, False, True, False, False]), ({}, [True] * 5)):
+        recorded = read_recorded_rows(SimpleNamespace(root=tmp_path, features=[*columns, *extra]))
+        assert recorded.column(IS_LABEL, torch.arange(5)).tolist() == labels
+        motions, openings = demonstrated_motions(recorded)
+        torch.testing.assert_close(motions, torch.tensor([0.0] * 6 + [0.3]).expand(sum(labels), 7))
+        assert openings.tolist() == [np.float32(0.3)] * sum(labels)
+
+
+def test_fine_tuning_on_other_motions_warns(
+    make_tiny: MakeTiny, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, *_, dataset = make_tiny(preset="fast")
+    policy.save_pretrained(tmp_path)
+    again = type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
+    assert "spreads from every anchor" not in caplog.text
+    assert torch.equal(again.model.motions.anchors, policy.model.motions.anchors)
+    other = demonstrated_motions(policy.recorded)[0] + 1.0
+    monkeypatch.setattr(modeling_dp3_adaptive, "demonstrated_motions", lambda _: (other, other[:, 6]))
+    type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
+    assert "spreads from every anchor" in caplog.text

@@ -13,7 +13,7 @@ from toy_demos import observed, play, toy_world, trained
 
 from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.affordance.demonstrations import read_demonstrations
-from lerobot_policy_adamanip.common.tool_frame import motion_between, pose_after, reverse
+from lerobot_policy_adamanip.common.geometry import motion_between, pose_after, reverse
 from lerobot_policy_adamanip.sampling.contact_labels import motions_in_contact
 
 MakePolicy = Callable[..., tuple[Any, ...]]

@@ -13,14 +13,8 @@ from toy_demos import observed, toy_world, trained, turned_and_shifted
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector
-from lerobot_policy_adamanip.common.torch_rotations import angle_between, matrix_from_6d, rotation_vector
-from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import perturb_grasp
-from lerobot_policy_adamanip.vat_mart.trajectory import (
-    decode_trajectory,
-    encode_trajectory,
-    key_frames,
-    trajectory_dim,
-)
+from lerobot_policy_adamanip.common.geometry import angle_between, matrix_from_6d, rotation_vector
+from lerobot_policy_adamanip.vat_mart.modeling_vat_mart import encode_trajectory, key_frames, perturb_grasp
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 
@@ -41,8 +35,7 @@ def test_a_plan_approaches_closes_and_follows_its_key_frames(make: MakePolicy) -
     policy, *_ = make()
     labels, place = policy.labels, policy.labels.grasps[:, :3] + 0.01
     code = encode_trajectory(labels.grasps, labels.waypoints, place)
-    assert code.shape == (len(place), trajectory_dim(8))
-    plan = key_frames(encode_trajectory(labels.grasps, labels.waypoints, place), place)
+    plan = key_frames(code, place)
     assert plan.shape[1:] == (3 + 8, 10)
     torch.testing.assert_close(plan[:, 1], labels.grasps, rtol=0, atol=1e-5)
     torch.testing.assert_close(plan[:, 3:], labels.waypoints, rtol=0, atol=1e-5)
@@ -51,7 +44,7 @@ def test_a_plan_approaches_closes_and_follows_its_key_frames(make: MakePolicy) -
 
 
 def test_a_spoilt_grasp_is_turned_or_shifted_and_nothing_else() -> None:
-    trajectory = torch.randn(200, trajectory_dim(2))
+    trajectory = torch.randn(200, 10 + 2 * 9)
     trajectory[:, :6] = torch.tensor([1.0, 0, 0, 0, 1, 0])
     spoilt = perturb_grasp(trajectory)
     angle = angle_between(spoilt[:, :6], trajectory[:, :6])
@@ -102,7 +95,8 @@ def test_what_is_proposed_was_shown_and_lies_not_between(make: MakePolicy, batch
     labels = policy.labels
     place = labels.grasps[labels.plan_of[batch["index"]], :3]
     drawn, _ = policy.model.proposed(cloud, place[:, None], 64)
-    grasps, waypoints = decode_trajectory(drawn[:, 0], place[:, None].expand(-1, 64, -1))
+    plan = key_frames(drawn[:, 0], place[:, None].expand(-1, 64, -1))
+    grasps, waypoints = plan[..., 1, :], plan[..., 3:, :]
     found, shown = turns_of(grasps, waypoints).flatten(0, 1), turns_of(labels.grasps, labels.waypoints)
     like = (found[:, None] - shown).abs().amax(dim=-1).amin(dim=1) < 0.15 * shown.abs().max()
     assert like.float().mean() > 0.5

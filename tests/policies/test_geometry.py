@@ -9,22 +9,20 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
 from lerobot_policy_adamanip.common.contacts import Past
-from lerobot_policy_adamanip.common.tool_frame import (
+from lerobot_policy_adamanip.common.geometry import (
     absolute_poses,
+    angle_between,
     constant,
+    matrix_from_6d,
+    matrix_from_rotation_vector,
     mirrored_motions,
     mirrored_poses,
     motion_between,
     points_seen,
     pose_after,
     relative_poses,
-    upwards,
-)
-from lerobot_policy_adamanip.common.torch_rotations import (
-    angle_between,
-    matrix_from_6d,
-    matrix_from_rotation_vector,
     rotation_vector,
+    upwards,
 )
 
 

@@ -1,13 +1,17 @@
-"""Narrow columns of a dataset, read once and looked up by the ``index`` of a training batch.
+"""Inputs of policies: the observation of a batch, and recorded rows looked up by the batch's ``index``.
 
-LeRobot's readers return observations, actions and a row's ``index``, but no windows of executed actions and no
-``complementary_info.*`` or ``next.*``. So policies read only the present row from LeRobot, and look up the rest.
+LeRobot's readers return observations, actions and a row's ``index``. ``resolve_delta_timestamps`` makes windows of
+``action``, ``next.reward`` and all of ``observation.*`` alike: none of executed actions, and none of states without
+clouds. Its batches lack ``next.*`` and ``complementary_info.*`` after preprocessing. So policies read only the present
+row from LeRobot, and look up the rest.
 """
 
 from __future__ import annotations
 
 import gc
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +20,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, STATE
+from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, POINT_CLOUD, STATE
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
 INDEX, EPISODE = "index", "episode_index"
 IS_LABEL = "is_label"
@@ -26,6 +31,43 @@ IS_LABEL = "is_label"
 IS_TRAINED = "is_trained"
 """Column of `read_recorded_rows`: whether a row's episode is trained on."""
 _POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "last row of the episode"
+
+
+def pick_inputs(config: CloudPolicyConfig, batch: Mapping[str, Any]) -> dict[str, Tensor]:
+    """Returns a policy's inputs, clouds cropped to (..., N, 3); raises `ConfigurationError` if one is missing."""
+    features = config.input_features or {}
+    if any(batch.get(key) is None for key in features):
+        raise ConfigurationError(
+            "The observation lacks an input of the policy.",
+            got=", ".join(key for key in batch if key.startswith("observation")) or "no observation",
+            allowed=", ".join(features),
+            hint="--env.type=adamanip_safe, or another environment with point clouds",
+        )
+    inputs: dict[str, Tensor] = {key: batch[key] for key in features}
+    cloud = inputs[POINT_CLOUD]
+    if cloud.shape[-1] != features[POINT_CLOUD].shape[-1]:  # 3 N numbers, as in datasets
+        cloud = cloud.reshape(*cloud.shape[:-1], -1, 3)
+    if cloud.shape[-2] < config.num_points:
+        raise wrong_number_of_points(cloud.shape[-2:], config.num_points)
+    inputs[POINT_CLOUD] = cloud[..., : config.num_points, :3]
+    return inputs
+
+
+@dataclass(frozen=True)
+class Window:
+    """Inputs of a head, normalised, with S observed steps and H remembered actions.
+
+    Attributes:
+        observations: cloud (B, S or 1, N, 3) [m], state (B, S, D), effort (B, S, 7) if used; the last is the present.
+            The instruction (B, S or 1, 64) if used.
+        history: (B, H, A) actions, oldest first. Rows before an episode's start hold the *label*, so they must be
+            masked, in training and at run time.
+        valid: (B, H) bool.
+    """
+
+    observations: dict[str, Tensor]
+    history: Tensor
+    valid: Tensor
 
 
 def trained_episodes(dataset_meta: Any) -> list[int] | None:
@@ -78,13 +120,12 @@ def read_columns(dataset_meta: Any, keys: Iterable[str]) -> dict[str, NDArray[An
             hint="adamanip collect DIR --category safe",
         )
     table = source.to_table(columns=sorted({*keys, INDEX})).sort_by(INDEX)
-    columns = {key: _array(table, key) for key in keys}
-    return {key: column.astype(np.float32) if column.dtype.kind == "f" else column for key, column in columns.items()}
-
-
-def _array(table: Any, key: str) -> NDArray[Any]:
-    values = numeric_array(table[key])
-    return np.stack(table[key].to_numpy()) if values is None else values
+    columns = {}
+    for key in keys:
+        values = numeric_array(table[key])
+        column = np.stack(table[key].to_numpy()) if values is None else values
+        columns[key] = column.astype(np.float32) if column.dtype.kind == "f" else column
+    return columns
 
 
 class RecordedRows:
@@ -156,3 +197,49 @@ def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
     done = columns.pop(DONE, np.zeros(len(columns[INDEX]))).reshape(-1).astype(np.bool_)
     masks = {IS_LABEL: ~done, IS_TRAINED: is_trained(dataset_meta, columns[EPISODE].reshape(-1))}
     return RecordedRows({**columns, EXECUTED: columns[executed], **masks})
+
+
+def balanced_weights(dataset_meta: Any) -> Tensor:
+    """Returns weights by task index, inverse to the tasks' numbers of trained rows; their mean over rows is 1."""
+    trained, rows = trained_episodes(dataset_meta), Counter[int]()
+    for episode, (tasks, length) in enumerate(
+        zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True)
+    ):
+        number = int(dataset_meta.get_task_index(tasks[0]))
+        rows[number] += int(length) if trained is None or episode in trained else 0
+    mean = sum(rows.values()) / sum(count > 0 for count in rows.values())
+    return torch.tensor([mean / rows[index] if rows[index] else 0.0 for index in range(1 + max(rows))])
+
+
+def check_batch(config: Any, batch: Mapping[str, Any], state: Tensor, actions: Tensor, mirrored: float) -> None:
+    """Raises `ConfigurationError` if a batch does not fit the policy and its dataset; for the first batch.
+
+    Args:
+        config: of the policy.
+        batch: preprocessed.
+        state: (B, S, D) of the batch.
+        actions: (B, A) that were looked up for the batch's rows, normalised.
+        mirrored: share of scenes that the preprocessor mirrors.
+    """
+    if state.shape[1] != config.n_obs_steps:
+        raise ConfigurationError(
+            "A batch has the wrong number of observed steps.",
+            got=f"{STATE} with {state.shape[1]} steps",
+            allowed=f"n_obs_steps={config.n_obs_steps}, as (B, {config.n_obs_steps}, {state.shape[-1]})",
+            hint="LeRobotDataset(..., delta_timestamps=resolve_delta_timestamps(config, meta))",
+        )
+    if mirrored != config.augmentation_mirror and config.has_pose_layout:
+        raise ConfigurationError(
+            "The augmentation of a checkpoint cannot be changed: LeRobot loads its processor as it was saved.",
+            got=f"a share of {mirrored} mirrored, but --policy.augmentation_mirror={config.augmentation_mirror}",
+            allowed="the option that the checkpoint was trained with",
+            hint="leave --policy.augmentation_mirror out, or train from new weights",
+        )
+    labels = batch[ACTION].reshape(len(batch[ACTION]), -1)
+    if labels.shape != actions.shape or not torch.allclose(labels.to(actions), actions, atol=1e-3):
+        raise ConfigurationError(
+            "A batch does not belong to the dataset that the policy was created with.",
+            got=f"actions {tuple(labels.shape)} that differ from the rows of its index, {tuple(actions.shape)}",
+            allowed="batches of that dataset, preprocessed with its statistics",
+            hint="a new training, or --resume=true with the original dataset",
+        )

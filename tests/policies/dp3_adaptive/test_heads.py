@@ -1,0 +1,357 @@
+"""The heads in the tool's frame: what they learn, remember, refine and draw again."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import chain, repeat
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
+from lerobot_policy_adamanip.common.inputs import Window
+from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions
+from lerobot_policy_adamanip.dp3_adaptive import tool_head
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import Refiner, TypicalMotions
+
+MakeTiny = Callable[..., tuple[Any, ...]]
+every_head = pytest.mark.parametrize("preset", ["fast", "diffusion"])
+
+
+def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
+    draw = np.random.default_rng(0)
+    middles = np.array([[0.018, 0, 0, 0, 0, 0, 0], [0, 0, 0, 0, 0, 0.5, 0], [0.1, 0, 0.1, 0, 0, 0, 1]], np.float32)
+    wide = np.array([0.0005, 0, 0, 0, 0, 0.05, 0], np.float32)
+    rows = np.concatenate([middle + wide * draw.normal(size=(300, 7)) for middle in middles])
+    anchors, spread = cluster_motions(rows.astype(np.float32), 3)
+    for middle in middles:
+        away = (anchors - torch.from_numpy(middle)).abs()
+        nearest = int(away.sum(1).argmin())
+        assert (away[nearest] < torch.tensor([2e-4, 1e-6, 1e-6, 1e-6, 1e-6, 0.02, 1e-6])).all()
+        assert spread[nearest, 5] == pytest.approx(0.05, rel=0.2)
+        np.testing.assert_allclose(spread[nearest, :5], MIN_SPREAD[:5])
+    for part, least in zip(cluster_motions(rows[:2].astype(np.float32), 5), (-1.0, 0.002), strict=True):  # too few
+        assert part.shape == (5, 7)
+        assert (part >= least).all()
+
+
+# Training ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors(num_refinements=0)
+    window, actions, real = policy.training_window(batch_of(dataset, before, 2, 11))
+    motion = motion_between(actions, window.observations[schema.STATE][:, -1:, :10])[:, 0]
+    unit = torch.tensor([20.0, 20, 20, 2, 2, 2, 1])
+    nearest = ((motion[:, None] - policy.model.motions.anchors) * unit).square().sum(-1).argmin(1)
+    logits = torch.full((2, 6), -50.0).scatter(1, nearest[:, None], 50.0)
+    residuals = torch.zeros(2, 6, 7)
+    rows = torch.arange(2)
+    residuals[rows, nearest] = (motion - policy.model.motions.anchors[nearest]) / policy.model.motions.spread[nearest]
+    policy.model.forward = lambda _: (logits, residuals, None)
+    loss, _, _ = policy.model.loss(window, actions, real)
+    torch.testing.assert_close(loss, torch.zeros(2), rtol=0, atol=1e-6)
+    drawn = policy.model.sample(window, None)
+    torch.testing.assert_close(drawn, actions, rtol=0, atol=1e-4)
+    residuals[0, nearest[0], 0] += 1.0
+    assert policy.model.loss(window, actions, real)[0][0] > 0.05
+
+
+def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_anchors: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_anchors()
+    window, actions, real = policy.training_window(batch_of(dataset, before, *[6] * 40))
+    state = window.observations[schema.STATE][:, -1, :10]
+    up = torch.where(torch.arange(40)[:, None, None] % 2 == 0, 0.03, -0.03)
+    actions = state[:, None] + up * torch.eye(10)[2]
+    rows = np.array([[0.0, 0, 0, 0, 0, 0, float(state[0, 9])]], np.float32)
+    frame = matrix_from_rotation_6d(state[0, 3:9].numpy())
+    motions = np.concatenate([rows, rows])
+    motions[0, :3], motions[1, :3] = 0.03 * frame[2], -0.03 * frame[2]
+    policy.fit_anchors(torch.from_numpy(np.repeat(motions, 10, axis=0)), state[:20, 9])
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+    for _ in range(60):
+        optimizer.zero_grad()
+        loss, *_ = policy.model.loss(window, actions, real)
+        loss.mean().backward()
+        optimizer.step()
+    policy.eval()
+    torch.manual_seed(0)
+    height = policy.model.sample(window, None)[:, 0, 2] - state[:, 2]
+    torch.testing.assert_close(height.abs(), torch.full((40,), 0.03), rtol=0, atol=0.004)
+    assert 8 <= int((height > 0).sum()) <= 32
+
+
+# Memory --------------------------------------------------------------------------------------------------------------
+
+LIFTS = torch.tensor([0.02, -0.02, 0.05])
+"""Three motions of a held part [m]. The observation does not show which one will work."""
+
+
+def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:
+    """Returns a window of a hand that holds something, before and after the first lifts failed; and the lifts' goals.
+
+    Fits the policy's anchors to the lifts.
+    """
+    state = window.observations[schema.STATE][:1, -1:].clone()
+    state[..., 9] = 0.2
+    steps = policy.config.n_action_history_steps
+    goals = state[0, :, :10].repeat(3, 1)
+    goals[:, 0] += LIFTS
+    history = state[:, :, :10].repeat(3, steps, 1)
+    for row in range(1, 3):
+        history[row, -row:] = goals[:row]
+    valid = torch.arange(steps) >= steps - torch.arange(3)[:, None]
+    policy.fit_anchors(motion_between(goals, state[0, :, :10]), torch.full((3,), 0.2))
+    return Window({**window.observations, schema.STATE: state.expand(3, steps + 1, -1)}, history, valid), goals
+
+
+def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """After one failure the second is tried, after two the third: its memory says so without the rule."""
+    policy, before, _, dataset = make_anchors(num_anchors=3, inference=Inference(no_repeat=False))
+    window, goals = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
+    optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+    for _ in range(80):
+        optimizer.zero_grad()
+        policy.model.loss(window, goals[:, None], torch.ones(3, 1, dtype=torch.bool))[0].mean().backward()
+        optimizer.step()
+    policy.eval()
+    start = window.observations[schema.STATE][0, -1, 0]
+    first = set()
+    for seed in range(20):
+        torch.manual_seed(seed)
+        drawn = policy.model.sample(window, None)[:, 0, 0] - start
+        torch.testing.assert_close(drawn[1:], LIFTS[1:], rtol=0, atol=0.003)
+        first.add(round(drawn[0].item(), 2))
+    assert first == {0.02, -0.02, 0.05}  # nothing has failed yet, and nothing is to be seen
+
+
+def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchors: MakeTiny, batch_of: Any) -> None:
+    """To the bit, losses and weights too: nothing that the memory learns reaches the rest."""
+    policies, losses = [], []
+    for steps in (4, 0):
+        torch.manual_seed(0)
+        policy, before, _, dataset = make_anchors(n_action_history_steps=steps)
+        optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
+        for step in range(6):
+            torch.manual_seed(step)
+            optimizer.zero_grad()
+            loss, parts = policy.forward(batch_of(dataset, before, *range(step, 40, 2)))
+            loss.backward()
+            optimizer.step()
+            losses.append({name: value for name, value in parts.items() if name != "memory_loss"})
+        policies.append(policy.eval())
+    assert losses[:6] == losses[6:]
+    remembering, plain = (dict(policy.model.named_parameters()) for policy in policies)
+    assert {name for name in remembering if name not in plain} == {
+        f"memory.{name}" for name, _ in policies[0].model.memory.named_parameters()
+    }
+    assert all(torch.equal(weight, remembering[name]) for name, weight in plain.items())
+    batch, drawn = batch_of(dataset, before), []
+    for policy in policies:
+        torch.manual_seed(1)
+        drawn.append(policy.model.sample(policy.training_window(batch)[0], None))
+    window, *_ = policies[0].training_window(batch)
+    touched = policies[0].model.past(window).contact.any(dim=1)
+    assert torch.equal(drawn[0][~touched], drawn[1][~touched])
+    assert not torch.equal(drawn[0][touched], drawn[1][touched])
+    added = policies[0].model(window)[2]
+    assert added is not None
+    assert torch.equal(added.any(dim=1), touched)
+
+
+# Both heads ----------------------------------------------------------------------------------------------------------
+
+
+@every_head
+def test_the_action_moves_with_the_scene(make_tiny: MakeTiny, observation_of: Any, preset: str) -> None:
+    """Wherever the robot stands about the vertical, the same scene is met by the same motion."""
+    policy, before, _, dataset = make_tiny(preset=preset)
+    policy.eval()
+    observation = observation_of(dataset, before, 5)
+    turn, shift = Rotation.from_euler("z", 1.1), np.array([0.3, -0.5, 0.2])
+
+    def poses(rows: torch.Tensor) -> torch.Tensor:
+        moved = rows.clone().double()
+        moved[..., :3] = torch.from_numpy(turn.apply(rows[..., :3].numpy()) + shift)
+        matrices = turn.as_matrix() @ matrix_from_rotation_6d(rows[..., 3:9].numpy())
+        moved[..., 3:9] = torch.from_numpy(rotation_6d_from_matrix(matrices))
+        return moved.float()
+
+    cloud = turn.apply(observation[schema.POINT_CLOUD].reshape(-1, 3).numpy()) + shift
+    moved = {
+        **observation,
+        schema.POINT_CLOUD: torch.from_numpy(cloud).float().reshape(observation[schema.POINT_CLOUD].shape),
+        schema.STATE: poses(observation[schema.STATE]),
+    }
+    noise = torch.rand(1, policy.config.horizon, 10)
+    acted = []
+    for seen in (observation, moved):
+        policy.reset()
+        torch.manual_seed(0)
+        acted.append([policy.select_action(seen, noise=noise) for _ in range(3)])
+    for one, other in zip(*acted, strict=True):
+        torch.testing.assert_close(other, poses(one), rtol=0, atol=2e-3)
+
+
+def test_approaches_with_a_varying_end_are_refined(make_tiny: MakeTiny) -> None:
+    motions = make_tiny(preset="fast")[0].model.motions
+    motions.anchors[:, 0], motions.anchors[:, 6], motions.spread[:] = 0.05, 1.0, torch.tensor(MIN_SPREAD)
+    motions.spread[::2, 2] = 0.03
+    assert motions.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
+    motions.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a closed hand
+    motions.anchors[2, :3] = 0.0  # and one that stays
+    assert motions.needs_refinement(torch.arange(6)).tolist() == [False] * 4 + [True, False]
+    index = torch.tensor([[4, 0], [1, 4]])
+    assert motions.needs_refinement(index).tolist() == [[True, False], [False, True]]
+
+
+@every_head
+def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
+    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset, inference=Inference(redraw=False))
+    policy.eval()
+    for model in (policy.model, policy.ema_model):
+        model.motions.anchors[:, 0], model.motions.anchors[:, 6] = 0.05, 1.0
+        model.motions.spread[:] = torch.tensor(MIN_SPREAD)
+        model.motions.spread[::2, 2] = 0.03
+    monkeypatch.setattr(TypicalMotions, "nearest", lambda _, motion: torch.arange(len(motion)) % 6)
+    observation = observation_of(dataset, before, *range(20))
+    noise = torch.rand(20, policy.config.horizon, 10)
+
+    def acted() -> torch.Tensor:
+        policy.reset()
+        return policy.select_action(observation, noise=noise)
+
+    looked: list[int] = []
+    refine = Refiner.refined
+    monkeypatch.setattr(Refiner, "refined", lambda *a: looked.append(len(a[2])) or refine(*a))
+    few = acted()
+    monkeypatch.setattr(tool_head, "_rows_to_compute", lambda needed: torch.arange(len(needed)))
+    torch.testing.assert_close(few, acted(), rtol=0, atol=1e-6)
+    assert 0 < looked[0] < looked[1] == 20
+    for model in (policy.model, policy.ema_model):
+        model.motions.spread[:] = torch.tensor(MIN_SPREAD)
+    acted()
+    assert len(looked) == 2
+    loss, metrics = policy.train().forward(batch_of(dataset, before, 0, 5, 8, 20))
+    loss.backward()
+    assert metrics["refinement_loss"] == 0.0
+    assert not any(weight.grad.any() for weight in policy.model.refiner.parameters())
+
+
+LEFT, RIGHT = (torch.tensor([0.0, side, 0.1, 0.0, 0.0, 0.0, 1.0]) for side in (-0.1, 0.1))
+"""Two approaches."""
+
+
+def drawing(policy: Any, window: Window, *motions: torch.Tensor) -> list[torch.Tensor]:
+    """Makes a policy draw these motions one after another from an open hand; returns what it acts on, by anchor."""
+    tool = window.observations[schema.STATE][:, -1, :10]
+    policy.fit_anchors(torch.stack([LEFT, RIGHT]).repeat(20, 1), torch.ones(40))
+    policy.model.motions.spread[:, :3] = 0.02
+    goals = [pose_after(motion.expand(len(tool), 7), tool) for motion in motions]
+    if policy.config.method.head == "anchors":
+        first = policy.model.motions.nearest(motions[0])
+        logits = torch.zeros(len(tool), 2).index_fill(1, first, 2.0)
+        policy.model.forward = lambda _: (logits, torch.zeros(len(tool), 2, 7), None)
+        return goals
+    horizon = policy.config.horizon
+    encoded = [policy.model.encode(goal[:, None].expand(-1, horizon, -1), window) for goal in goals]
+    chunks = chain(encoded, repeat(encoded[-1]))
+    policy.model.denoise = lambda *_: next(chunks)
+    return goals
+
+
+Case = tuple[list[bool], bool, int]
+CASES: list[Case] = [
+    ([True, True], True, 0),
+    ([False, True], True, 1),
+    ([False, True], False, 0),
+    ([False, False], True, 0),
+]
+"""Whether there is something to hold at the end of each approach, redraw, which approach is acted on."""
+
+
+@every_head
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_an_approach_without_anything_to_hold_is_drawn_again(
+    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str, case: Case
+) -> None:
+    """If all draws lead to nothing, the first one is executed. The executed pose is always a refined one."""
+    held, redraw, wanted = case
+    policy, before, _, dataset = make_tiny(
+        preset=preset, num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=redraw)
+    )
+    window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
+    window.observations[schema.STATE][..., 9] = 1.0
+    goals = drawing(policy, window, LEFT, RIGHT)
+
+    def refined(_: Any, cloud: torch.Tensor, pose: torch.Tensor, *_given: Any) -> tuple[torch.Tensor, ...]:
+        is_left = motion_between(pose, window.observations[schema.STATE][:, -1, :10])[:, 1] < 0
+        return pose + 0.001 * torch.eye(10)[0], torch.where(is_left, *map(torch.tensor, held))
+
+    monkeypatch.setattr(Refiner, "refined", refined)
+    found = policy.model.sample(window, torch.zeros(2, 1))[:, 0]
+    torch.testing.assert_close(found, goals[wanted] + 0.001 * torch.eye(10)[0], rtol=0, atol=1e-5)
+
+
+@every_head
+def test_episodes_of_a_batch_are_redrawn_each_for_itself(
+    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str
+) -> None:
+    policy, before, _, dataset = make_tiny(preset=preset, num_anchors=2, n_action_history_steps=0)
+    window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
+    window.observations[schema.STATE][..., 9] = 1.0
+    left, right = drawing(policy, window, LEFT, RIGHT)
+    answers = iter([torch.tensor([True, False]), torch.tensor([False, True])])
+    monkeypatch.setattr(Refiner, "refined", lambda _, cloud, pose, *more: (pose, next(answers)))
+    found = policy.model.sample(window, torch.zeros(2, 1))[:, 0]
+    torch.testing.assert_close(found, torch.stack([left[0], right[1]]), rtol=0, atol=1e-5)
+
+
+# Diffusion in the tool's frame ---------------------------------------------------------------------------------------
+
+
+def poses(rows: int, steps: int) -> torch.Tensor:
+    """Any poses (rows, steps, 10) within a metre."""
+    draw = np.random.default_rng(0)
+    turns = rotation_6d_from_matrix(Rotation.random(rows * steps, random_state=0).as_matrix())
+    parts = [draw.uniform(-0.5, 0.5, (len(turns), 3)), turns, draw.uniform(size=(len(turns), 1))]
+    return torch.from_numpy(np.concatenate(parts, axis=1)).float().reshape(rows, steps, 10)
+
+
+def test_a_chunk_is_decoded_as_it_was_encoded_and_any_values_become_poses(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(preset="diffusion")
+    window, actions, _ = policy.training_window(batch_of(dataset, before))
+    head, bound = policy.model, 4.0
+    assert head.encode(actions, window).abs().max() < bound
+    for chunk in (actions, poses(*actions.shape[:2])):
+        torch.testing.assert_close(head.decode(head.encode(chunk, window), window), chunk, rtol=0, atol=1e-5)
+    staying = head.encode(window.observations[schema.STATE][:, -1:, :10], window)
+    torch.testing.assert_close(staying[..., :3], torch.zeros(len(actions), 1, 3), rtol=0, atol=1e-4)
+    made = head.decode(bound * (2 * torch.rand_like(actions) - 1), window)
+    rows = made[..., 3:9].unflatten(-1, (2, 3))
+    torch.testing.assert_close(rows @ rows.mT, torch.eye(2).expand(*made.shape[:2], 2, 2), rtol=0, atol=1e-5)
+    assert ((made[..., 9] >= 0) & (made[..., 9] <= 1)).all()
+    # Of a short motion and a long one, the same error of a value is small relative to each.
+    near, far = (head.decode(staying + step * torch.eye(10)[2], window)[..., :3] for step in (0.1, 3.0))
+    start = window.observations[schema.STATE][:, -1:, :3]
+    assert ((far - start).norm(dim=-1) > 50 * (near - start).norm(dim=-1)).all()
+
+
+def test_refinement_moves_the_first_action_of_a_chunk_alone(make_tiny: MakeTiny, batch_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(preset="diffusion", inference=Inference(redraw=False))
+    policy.eval()
+    window, actions, _ = policy.training_window(batch_of(dataset, before, 0, 3))
+    motions = policy.model.motions
+    motions.anchors[:, 2], motions.anchors[:, 6], motions.spread[:] = 0.1, 1.0, 0.02
+    policy.model.denoise = lambda *_: policy.model.encode(actions, window)
+    found = policy.model.sample(window, None)
+    torch.testing.assert_close(found[:, 1:], actions[:, 1:], rtol=0, atol=1e-5)
+    assert not torch.isclose(found[:, 0, :3], actions[:, 0, :3], atol=1e-4).all(dim=-1).any()
