@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 
 LOCKSTEP_DT = "lockstep_dt"
 """Session detail: duration of one step in lockstep [s]."""

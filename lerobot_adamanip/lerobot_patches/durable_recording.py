@@ -42,10 +42,10 @@ from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
-from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.camera_frames import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
 from lerobot_adamanip.util import files
 

@@ -11,16 +11,27 @@ from fake_arm import FakeOptions
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.hardware.arm import ArmStatus, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
 
 FAKE = "fake_arm:serve_fake"
 PATIENT = ServerOptions(state_age=5.0, command_age=0.5)
 LOCKSTEP = ServerOptions(lockstep_fps=30.0)
 
 
-def fake_arm(server: ServerOptions = PATIENT, **options: Any) -> ArmClient:
-    return ArmClient(FAKE, FakeOptions(**options), server=server, connect_time=60.0)
+class FakeArm(ArmClient):
+    """Connected within its context."""
+
+    def __enter__(self) -> ArmClient:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def fake_arm(server: ServerOptions = PATIENT, **options: Any) -> FakeArm:
+    return FakeArm(FAKE, FakeOptions(**options), server=server, connect_time=60.0)
 
 
 def eventually(client: ArmClient, condition: Callable[[ArmStatus], bool], seconds: float = 10.0) -> ArmStatus:

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
-from lerobot_adamanip.hardware.calibration.board import Board
 from lerobot_adamanip.hardware.calibration.hand_eye import Mounting, View
-from lerobot_adamanip.hardware.calibration.views import ViewFolder
+from lerobot_adamanip.hardware.calibration.views import Board, ViewFolder
 from lerobot_adamanip.hardware.camera_frames import Intrinsics
 
 Array = NDArray[np.float64]

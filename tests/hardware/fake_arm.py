@@ -14,10 +14,8 @@ import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
-from lerobot_adamanip.hardware.arm_process.encoding import message
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
+from lerobot_adamanip.hardware.arm import RESET, ArmMode, ArmReading, ArmTarget, Array, Served
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, message
 from lerobot_adamanip.util.errors import RobotError
 
 START_ROTATION = np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)))

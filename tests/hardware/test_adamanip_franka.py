@@ -21,8 +21,8 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.arm import ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError

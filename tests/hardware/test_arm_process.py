@@ -18,9 +18,8 @@ import pytest
 from arm_helpers import LOCKSTEP, eventually, fake_arm, pose_ahead
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.hardware.arm import ArmReading, Execution
+from lerobot_adamanip.hardware.arm import ArmReading, ArmStatus, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
 from lerobot_adamanip.util.errors import RobotError
 
 
@@ -70,9 +69,8 @@ def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
     with fake_arm(speed=0.05) as arm:
         for x in (0.3, -0.3, 1.0):
             arm.send(pose_ahead(arm, x), Execution.STREAM)
-        held = eventually(arm, lambda status: status.holding)
-        assert held.sent is not None
-        assert held.sent[0] > 1.0
+        eventually(arm, lambda status: status.holding)
+        assert arm.request("targets")["targets"][-1][0] > 1.0
         stands = position(arm)
         assert 0.5 < stands < 0.6  # on its way, 1 m ahead, when commands stopped
         time.sleep(0.2)

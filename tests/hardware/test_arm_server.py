@@ -13,14 +13,11 @@ import pytest
 from fake_arm import START_ROTATION, FakeBackend, FakeOptions
 
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.hardware.arm import ArmTarget, Execution
+from lerobot_adamanip.hardware.arm import ArmTarget, Execution, Reply, Request, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.encoding import encode
-from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
-from lerobot_adamanip.hardware.arm_process.messages import Reply, Request, Served, ServerOptions
-from lerobot_adamanip.hardware.arm_process.server import ArmServer
-from lerobot_adamanip.hardware.arm_process.watch import malformed
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, encode, map_mailboxes
+from lerobot_adamanip.hardware.arm_process.server import ArmServer, malformed
+from lerobot_adamanip.hardware.safety import SafetyLimits
 
 OPTIONS = ServerOptions(limits=SafetyLimits((0.2, -0.4, 0.0), (0.8, 0.4, 0.7), lead=0.04, angular_lead=0.15))
 HERE = transform((0.5, 0.0, 0.4), START_ROTATION)

@@ -16,12 +16,9 @@ from numpy.typing import NDArray
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
-from lerobot_adamanip.hardware.calibration.board import Board
-from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, solve
-from lerobot_adamanip.hardware.calibration.live import begin, camera_of, take_views
-from lerobot_adamanip.hardware.calibration.views import ViewFolder
-from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
+from lerobot_adamanip.hardware.calibration.hand_eye import MIN_VIEWS, Mounting, View, solve
+from lerobot_adamanip.hardware.calibration.views import Board, ViewFolder, begin, camera_of, take_views
+from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics, read_calibrations
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
@@ -75,9 +72,9 @@ def test_one_swapped_pose_is_named(fixed: tuple[Truth, list[View]]) -> None:
 
 def test_too_few_and_too_similar_poses_are_refused(fixed: tuple[Truth, list[View]]) -> None:
     with pytest.raises(ConfigurationError, match="Too few") as caught:
-        solve(fixed[1][: FEWEST_VIEWS - 1], INTRINSICS, Mounting.FIXED)
-    assert str(FEWEST_VIEWS) in str(caught.value)
-    solve(fixed[1][:FEWEST_VIEWS], INTRINSICS, Mounting.FIXED)
+        solve(fixed[1][: MIN_VIEWS - 1], INTRINSICS, Mounting.FIXED)
+    assert str(MIN_VIEWS) in str(caught.value)
+    solve(fixed[1][:MIN_VIEWS], INTRINSICS, Mounting.FIXED)
     with pytest.raises(ConfigurationError, match="too much alike"):
         solve(views_of(truth(5, 14, tilt=0.1), 5), INTRINSICS, Mounting.FIXED)
     with pytest.raises(ConfigurationError, match="Too few"):
@@ -163,11 +160,8 @@ def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.Cap
     assert "No picture shows the board" in said.err
 
 
-def test_older_folders_are_read_and_a_missing_picture_is_named(tmp_path: Path) -> None:
+def test_a_missing_picture_is_named(tmp_path: Path) -> None:
     folder = write_views(tmp_path, truth(0, 2))
-    told = json.loads((tmp_path / "views.json").read_text())
-    told["board"]["legacy"] = False  # as older folders have it
-    (tmp_path / "views.json").write_text(json.dumps(told))
     assert ViewFolder.open(tmp_path).board == BOARD
     (tmp_path / "view_001.png").unlink()
     with pytest.raises(ConfigurationError, match=r"view_001\.png"):

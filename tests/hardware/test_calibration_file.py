@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
-from lerobot_adamanip.hardware.calibration.file import read_calibrations, save_calibration
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, read_calibrations, save_calibration
 from lerobot_adamanip.util.errors import ConfigurationError
 
 POSE = transform((0.1, -0.58, 1.16), matrix_from_rotation_vector(np.array([0.3, -2.0, 0.4])))

@@ -11,8 +11,8 @@ import pytest
 
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.arm_process import __main__ as program
-from lerobot_adamanip.hardware.arm_process.messages import Served
+from lerobot_adamanip.hardware.arm import Served
+from lerobot_adamanip.hardware.arm_process import server as program
 from lerobot_adamanip.hardware.closing import close_all, closing_on_error
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig

@@ -15,12 +15,21 @@ import pytest
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.encoding import _registered, decode, encode
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, Reply, Request, ServerOptions, Start
+from lerobot_adamanip.hardware.arm import (
+    ArmMode,
+    ArmReading,
+    ArmStatus,
+    ArmTarget,
+    Execution,
+    Reply,
+    Request,
+    ServerOptions,
+    Start,
+)
+from lerobot_adamanip.hardware.arm_process.mailbox import _registered, decode, encode
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.camera_frames import Frame
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.objects.base import Motion, PartAnnotation
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.twin.process import TwinOptions

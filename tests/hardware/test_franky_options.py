@@ -12,7 +12,7 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode
 from lerobot_adamanip.hardware.backends import franky
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.backends.franky_options import MODELS, FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     check_joints,
     check_tool_frame,
@@ -22,7 +22,6 @@ from lerobot_adamanip.hardware.backends.franky_sdk import (
     set_limits,
     wanted_limits,
 )
-from lerobot_adamanip.hardware.limits import MODELS
 from lerobot_adamanip.util.errors import RobotError
 
 VALUES = {"address": "172.16.0.2", "model": "fr3"}

@@ -19,8 +19,8 @@ from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import wanted_limits
-from lerobot_adamanip.hardware.motion_outcome import pose_error
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 pytestmark = [pytest.mark.franky, pytest.mark.nightly, pytest.mark.timeout(1200)]

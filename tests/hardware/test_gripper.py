@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from lerobot_adamanip.hardware.gripper import GripperThread
+from lerobot_adamanip.hardware.backends.gripper import GripperThread
 from lerobot_adamanip.util.errors import RobotError
 
 

@@ -7,8 +7,7 @@ import threading
 
 import pytest
 
-from lerobot_adamanip.hardware.arm_process.encoding import encode
-from lerobot_adamanip.hardware.arm_process.mailbox import HEADER_BYTES, Mailbox, create_memory, map_mailboxes
+from lerobot_adamanip.hardware.arm_process.mailbox import HEADER_BYTES, Mailbox, create_memory, encode, map_mailboxes
 from lerobot_adamanip.util.errors import RobotError
 
 CAPACITY = 2000

@@ -11,7 +11,7 @@ from filter_fuzz import LIMITS, START
 
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import Array, pose_from_vector, pose_vector, rotation_about, transform
-from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver
+from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import MotionDriver
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
 from lerobot_adamanip.hardware.robot_registry import RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter

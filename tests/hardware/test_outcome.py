@@ -7,8 +7,8 @@ import pytest
 
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.hardware.backends.franky import OutcomeWatch
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch
 
 STALL_TICKS = DEFAULT_MOTION.stall_ticks
 GOAL = transform((0.5, 0.0, 0.4))

@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, straight_path, transform
-from lerobot_adamanip.hardware.safety import MAX_REFUSED, SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
+from lerobot_adamanip.hardware.safety import HAND_CORNERS, MAX_REFUSED, SafetyFilter, SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 DT = 1 / 30

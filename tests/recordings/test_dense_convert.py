@@ -19,8 +19,7 @@ from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.reading import camera_of, episode_table, open_dataset, read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
-from lerobot_adamanip.hardware.safety import accepted
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
+from lerobot_adamanip.hardware.safety import SafetyLimits, accepted, limits_from_json
 from lerobot_adamanip.lerobot_patches.durable_recording import _keep_robot
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames

@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.limits import MODELS
+from lerobot_adamanip.hardware.backends.franky_options import MODELS, FrankyOptions
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
 EXECUTIONS = ("keyframe", "stream")

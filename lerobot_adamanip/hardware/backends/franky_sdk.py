@@ -12,7 +12,7 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.motion_outcome import pose_error
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 INSTALL = "pip install 'lerobot_env_adamanip[franka]'; older arms need a wheel built for their firmware: docs/robot.md"

@@ -16,11 +16,10 @@ from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
 """Thresholds of the wanted opening [0 closed, 1 open]. Between the two nothing changes."""
-WIDE = 0.95
+OPEN_ENOUGH = 0.95
 """Opening above which the fingers need no initial open command."""
-READ_PERIOD = 0.05
-CONNECT_TIME, CLOSE_TIME = 10.0, 0.5
-"""Time between readings, and time limits of connect and close [s]."""
+READ_PERIOD_S, CONNECT_S, CLOSE_S = 0.05, 10.0, 0.5
+"""Time between readings, and time limits of connect and close."""
 
 
 class Hand(Protocol):
@@ -60,17 +59,17 @@ class GripperThread:
         self._reader = threading.Thread(target=self._keep_reading, name="gripper reader", daemon=True)
 
     def start(self) -> None:
-        """Connects. Raises `RobotError` if that fails or takes longer than `CONNECT_TIME`."""
+        """Connects. Raises `RobotError` if that fails or takes longer than `CONNECT_S`."""
         self._commander.start()
-        if not self._ready.wait(CONNECT_TIME):
-            raise RobotError(f"The gripper did not connect within {CONNECT_TIME:g} s.")
+        if not self._ready.wait(CONNECT_S):
+            raise RobotError(f"The gripper did not connect within {CONNECT_S:g} s.")
         self.check()
 
     def want(self, opening: float) -> None:
         """Sets the wanted opening, 0 closed ... 1 open. Returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
-        if self._wanted is None and opening > OPEN_ABOVE and self.opening > WIDE:
+        if self._wanted is None and opening > OPEN_ABOVE and self.opening > OPEN_ENOUGH:
             self._done = True
         self._wanted = opening > OPEN_ABOVE
         if self._wanted != self._done:
@@ -91,13 +90,13 @@ class GripperThread:
         self._error, self._wanted, self._done = "", None, None
 
     def close(self) -> None:
-        """Stops the current command and ends the threads, waiting at most `CLOSE_TIME`."""
+        """Stops the current command and ends the threads, waiting at most `CLOSE_S`."""
         self._stopping.set()
         self._wake.set()
         if self.busy and self._hand is not None:
             with contextlib.suppress(Exception):
                 self._hand.stop()
-        until = time.perf_counter() + CLOSE_TIME
+        until = time.perf_counter() + CLOSE_S
         for thread in (self._commander, self._reader):
             if thread.is_alive():
                 thread.join(max(0.0, until - time.perf_counter()))
@@ -113,7 +112,7 @@ class GripperThread:
 
     def _keep_reading(self) -> None:
         """Reads the opening repeatedly, also during commands."""
-        while not self._stopping.wait(READ_PERIOD):
+        while not self._stopping.wait(READ_PERIOD_S):
             self._guarded(self._read)
 
     def _guarded(self, call: Callable[[], None]) -> None:
