@@ -241,7 +241,7 @@ class AdamanipFranka(Robot):
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
             )
         lower, upper = (tuple(map(float, corner)) for corner in (config.box_lower, config.box_upper))
-        rest = {name: getattr(config, name) for name in ("speed", "angular_speed", "lead", "angular_lead")}
+        rest = {name: getattr(config, name) for name in ("speed", "angular_speed", "lead")}
         return SafetyLimits(cast("Corner", lower), cast("Corner", upper), **rest)
 
     def _make_client(self) -> ArmClient:

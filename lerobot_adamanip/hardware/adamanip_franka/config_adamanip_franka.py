@@ -41,9 +41,6 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     lead: float = 0.04
     """Maximum distance from the measured pose to a streamed target [m]. The pulling force is this times stiffness."""
 
-    angular_lead: float = 0.15
-    """Maximum angle from the measured pose to a streamed target [rad]."""
-
     state_age: float = 0.2
     """Maximum age of the arm's state [s]. An older state stops the arm and raises an error. From 1 s up, the error may
     come a second late: libfranka waits that long for an answer."""

@@ -17,7 +17,7 @@ from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.backends.franky_options import ROTATIONAL_STIFFNESS, STALL_TORQUE, FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     FrankyHand,
     check_joints,
@@ -56,7 +56,7 @@ class OutcomeWatch:
 
     Args:
         goal_in_base: (4, 4) goal of the tool.
-        options: force, torque and stiffness for the stall test.
+        options: force and stiffness for the stall test.
         began: start time on the arm's own clock [s].
         time_limit: time limit of the motion [s].
     """
@@ -64,7 +64,7 @@ class OutcomeWatch:
     def __init__(self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float) -> None:
         self._goal = goal_in_base
         self._stall_lag = options.stall_force / options.stiffness
-        self._stall_turn = options.stall_torque / options.rotational_stiffness
+        self._stall_turn = STALL_TORQUE / ROTATIONAL_STIFFNESS
         self._until, self._strained_ticks = began + time_limit, 0
         self._arrived: float | None = None
 
@@ -129,11 +129,9 @@ class FrankyBackend:
             self._state = self._robot.state
             check_tool_frame(self._state)
             self.limits_read = set_limits(self._robot, self._options)
-            stiff, turn = self._options.stiffness, self._options.rotational_stiffness
-            self._robot.set_cartesian_impedance([stiff, stiff, stiff, turn, turn, turn])
+            self._robot.set_cartesian_impedance([self._options.stiffness] * 3 + [ROTATIONAL_STIFFNESS] * 3)
             if self._options.gripper:
-                speed, force = self._options.gripper_speed, self._options.grasp_force
-                self._hand = GripperThread(lambda: FrankyHand(self._options.address, speed, force))
+                self._hand = GripperThread(lambda: FrankyHand(self._options.address, self._options.grasp_force))
                 self._hand.start()
         except RobotError:
             raise

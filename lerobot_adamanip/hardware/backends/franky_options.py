@@ -66,10 +66,18 @@ MODELS = {
     ),
 }
 BOUNDS = {
-    "dynamics": (0.001, 1.0), "stiffness": (10.0, 3000.0), "rotational_stiffness": (1.0, 300.0),
-    "stall_force": (1.0, 200.0), "stall_torque": (0.1, 50.0), "collision_force": (1.0, 500.0),
-    "collision_torque": (1.0, 100.0), "gripper_speed": (0.001, 0.2), "grasp_force": (1.0, 140.0),
-}  # fmt: skip
+    "dynamics": (0.001, 1.0),
+    "stiffness": (10.0, 3000.0),
+    "stall_force": (1.0, 200.0),
+    "collision_force": (1.0, 500.0),
+    "grasp_force": (1.0, 140.0),
+}
+ROTATIONAL_STIFFNESS = 40.0
+"""Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
+STALL_TORQUE, COLLISION_TORQUE = 1.1, 40.0
+"""Torque above which a key frame stalls, and torque of the arm's own reflex, per joint [N m]."""
+GRIPPER_SPEED = 0.1
+"""Speed of the fingers [m/s]."""
 
 
 @message
@@ -89,20 +97,11 @@ class FrankyOptions:
     stiffness: float = 1000.0
     """Translational stiffness of the firmware's Cartesian impedance [N/m]."""
 
-    rotational_stiffness: float = 40.0
-    """Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
-
     stall_force: float = 30.0
     """Force [N] above which a key frame ends with the outcome STALLED."""
 
-    stall_torque: float = 1.1
-    """Torque [N m] above which a key frame ends with the outcome STALLED."""
-
     collision_force: float = 60.0
     """Force of the arm's own reflex [N]. Must be above the stall force."""
-
-    collision_torque: float = 40.0
-    """Torque of the arm's own reflex, per joint [N m]."""
 
     effort_sign: float = 1.0
     """Sign, 1 or -1, that makes `joint_i.effort` the torque that the arm exerts. Measure it once, see docs/robot.md."""
@@ -112,9 +111,6 @@ class FrankyOptions:
 
     gripper: bool = True
     """Whether a Franka Hand is mounted."""
-
-    gripper_speed: float = 0.1
-    """Speed of the fingers [m/s]."""
 
     grasp_force: float = 30.0
     """Force of a grasp [N]."""

@@ -11,7 +11,7 @@ import numpy as np
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.backends.franky_options import COLLISION_TORQUE, GRIPPER_SPEED, FrankyOptions
 from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
@@ -53,15 +53,15 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
         return franky.Robot(
             options.address,
             relative_dynamics_factor=1.0,
-            default_torque_threshold=options.collision_torque,
+            default_torque_threshold=COLLISION_TORQUE,
             default_force_threshold=options.collision_force,
             controller_mode=franky.ControllerMode.CartesianImpedance,
             realtime_config=realtime,
         )
     except Exception as error:
         hint = next((hint for name, hint in HINTS.items() if isinstance(error, getattr(franky, name))), DOCTOR)
-        told = f"No connection to the arm at {options.address}: {error}"
-        raise RobotError(told, got=type(error).__name__, allowed="a reachable arm", hint=hint) from None
+        what = f"No connection to the arm at {options.address}: {error}"
+        raise RobotError(what, got=type(error).__name__, allowed="a reachable arm", hint=hint) from None
 
 
 def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
@@ -137,22 +137,21 @@ def flags_of(errors: Any) -> tuple[str, ...]:
 
 
 class FrankyHand:
-    """A `Hand` on `franky.Gripper`. ``speed``: finger speed [m/s]; ``force``: grasp force [N]."""
+    """A `Hand` on `franky.Gripper` with a grasp force [N]."""
 
-    def __init__(self, address: str, speed: float, force: float) -> None:
-        self._hand = import_franky().Gripper(address)
-        self._speed, self._force = speed, force
+    def __init__(self, address: str, force: float) -> None:
+        self._hand, self._force = import_franky().Gripper(address), force
         self._max_width = float(self._hand.max_width)
         if self._max_width <= 0:
             raise RobotError("The gripper's width is unknown: home it once, in Desk or with franky's Gripper.homing().")
 
     def open(self) -> None:
         """Opens the hand completely."""
-        self._command(lambda: self._hand.move(self._max_width, self._speed))
+        self._command(lambda: self._hand.move(self._max_width, GRIPPER_SPEED))
 
     def close(self) -> None:
         """Closes on an object of any width and holds it."""
-        self._command(lambda: self._hand.grasp(0.0, self._speed, self._force, epsilon_outer=1.0))
+        self._command(lambda: self._hand.grasp(0.0, GRIPPER_SPEED, self._force, epsilon_outer=1.0))
 
     def _command(self, call: Callable[[], bool]) -> None:
         """Calls the gripper. An empty grasp or a blocked move is not an error: the width shows it."""
