@@ -120,13 +120,6 @@ def test_a_dataset_that_no_policy_has_marked_is_read_by_lerobot(root: Path) -> N
     assert CAMERA in items[0]
 
 
-def test_text_is_read_by_lerobot(tmp_path: Path) -> None:
-    dataset = _opened(_record(tmp_path / "text", FEATURES | NOTE))
-    batched_reading.read_in_batches(dataset.meta)
-    for item, index in zip(dataset.__getitems__([1, 4]), (1, 4), strict=True):
-        _assert_same(dataset[index], item)
-
-
 def test_an_item_can_be_written_to(root: Path) -> None:
     dataset = _opened(root)
     batched_reading.read_in_batches(dataset.meta)

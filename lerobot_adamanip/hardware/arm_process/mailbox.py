@@ -2,6 +2,9 @@
 
 The bytes are JSON, a zero byte, then the raw bytes of all arrays. In the JSON, ``{"@": NAME, ...}`` is an array, a
 tuple, or a registered dataclass or enumeration. The rest is plain.
+
+No library of our dependencies does this. pyzmq has CONFLATE sockets for latest values, but only extras of LeRobot
+install it. Pipes keep old values and block a writer whose reader hangs.
 """
 
 from __future__ import annotations

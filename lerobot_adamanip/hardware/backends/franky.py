@@ -19,16 +19,16 @@ from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.backends.franky_options import ROTATIONAL_STIFFNESS, STALL_TORQUE, FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
-    FrankyHand,
     check_joints,
     check_tool_frame,
     connect_robot,
     flags_of,
     import_franky,
     reading_of,
+    scaled_limits,
     set_limits,
 )
-from lerobot_adamanip.hardware.backends.gripper import GripperThread
+from lerobot_adamanip.hardware.backends.gripper import FrankyHand, GripperThread
 from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
@@ -212,9 +212,10 @@ class FrankyBackend:
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
         leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANING_M
         ways = [here, goal] if leaning else [goal]
-        limits, share = self._options.limits, self._options.dynamics * self._pace
         way, turn = pose_error(here, goal)
-        travel_s = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
+        maxima = scaled_limits(self._options)
+        speed, angular_speed = (maxima[f"{name}_velocity_limit"][0] for name in ("translation", "rotation"))
+        travel_s = (way / speed + turn / angular_speed) / self._pace
         self._watch = OutcomeWatch(goal, self._options, now, min(KEYFRAME_S, 3.0 + 2.0 * travel_s))
         if not leaning and max(way, turn) < NO_MOTION:
             return  # only the fingers move

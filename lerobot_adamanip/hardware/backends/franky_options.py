@@ -12,59 +12,48 @@ from dataclasses import dataclass
 from lerobot_adamanip.hardware.arm_process.mailbox import message
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
-Seven = tuple[float, float, float, float, float, float, float]
-
-
-@dataclass(frozen=True)
-class Bounds[Value]:
-    """Maximum velocity, acceleration and jerk: [m] or [rad], per s, s^2 and s^3."""
-
-    velocity: Value
-    acceleration: Value
-    jerk: Value
-
-
-@dataclass(frozen=True)
-class FrankaLimits:
-    """Limits of one model.
-
-    Attributes:
-        translation, rotation: bounds of the tool [m, rad].
-        elbow: bounds of the third joint, which the elbow commands set [rad].
-        joint: bounds of each joint [rad].
-        joint_lower, joint_upper: range of each joint [rad].
-    """
-
-    translation: Bounds[float]
-    rotation: Bounds[float]
-    elbow: Bounds[float]
-    joint: Bounds[Seven]
-    joint_lower: Seven
-    joint_upper: Seven
-
-
-MODELS = {
-    "panda": FrankaLimits(
-        translation=Bounds(1.7, 13.0, 6500.0),
-        rotation=Bounds(2.5, 25.0, 12500.0),
-        elbow=Bounds(2.175, 10.0, 5000.0),
-        joint=Bounds(
-            (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
-            (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
-            (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
-        ),
-        joint_lower=(-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
-        joint_upper=(2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
+MODELS: dict[str, dict[str, float | tuple[float, ...]]] = {
+    "panda": {
+        "translation_velocity": 1.7,
+        "translation_acceleration": 13.0,
+        "translation_jerk": 6500.0,
+        "rotation_velocity": 2.5,
+        "rotation_acceleration": 25.0,
+        "rotation_jerk": 12500.0,
+        "elbow_velocity": 2.175,
+        "elbow_acceleration": 10.0,
+        "elbow_jerk": 5000.0,
+        "joint_velocity": (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
+        "joint_acceleration": (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+        "joint_jerk": (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+    },
+    "fr3": {
+        "translation_velocity": 3.0,
+        "translation_acceleration": 9.0,
+        "translation_jerk": 4500.0,
+        "rotation_velocity": 2.5,
+        "rotation_acceleration": 17.0,
+        "rotation_jerk": 8500.0,
+        "elbow_velocity": 2.62,
+        "elbow_acceleration": 10.0,
+        "elbow_jerk": 5000.0,
+        "joint_velocity": (2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+        "joint_acceleration": (10.0,) * 7,
+        "joint_jerk": (5000.0,) * 7,
+    },
+}
+"""Maxima of the tool, the elbow (third joint) and each joint by model: [m] or [rad], per s, s^2 and s^3."""
+JOINT_RANGES = {
+    "panda": (
+        (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
+        (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
     ),
-    "fr3": FrankaLimits(
-        translation=Bounds(3.0, 9.0, 4500.0),
-        rotation=Bounds(2.5, 17.0, 8500.0),
-        elbow=Bounds(2.62, 10.0, 5000.0),
-        joint=Bounds((2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26), (10.0,) * 7, (5000.0,) * 7),
-        joint_lower=(-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159),
-        joint_upper=(2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159),
+    "fr3": (
+        (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159),
+        (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159),
     ),
 }
+"""Lower and upper ends of each joint [rad]."""
 BOUNDS = {
     "dynamics": (0.001, 1.0),
     "stiffness": (10.0, 3000.0),
@@ -114,11 +103,6 @@ class FrankyOptions:
 
     grasp_force: float = 30.0
     """Force of a grasp [N]."""
-
-    @property
-    def limits(self) -> FrankaLimits:
-        """Limits of the model."""
-        return MODELS[self.model]
 
     def check(self) -> None:
         """Raises `ConfigurationError` for a missing address or model, or a value out of bounds."""
