@@ -13,9 +13,8 @@ from typing import Any
 import draccus
 import numpy as np
 import pytest
-from arm_helpers import LOCKSTEP, PATIENT, eventually, fake_arm
+from fake_arm import LOCKSTEP, PATIENT, eventually, fake_arm
 from filter_fuzz import LIMITS, START
-from lerobot.cameras.configs import CameraConfig
 from lerobot.robots import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 
@@ -26,14 +25,12 @@ from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFr
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.closing import close_all, closing_on_error
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig
 from lerobot_adamanip.hardware.teleoperators.devices import AdamanipKeyboard
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
-from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
 
@@ -253,14 +250,6 @@ def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(
     assert robot.is_calibrated  # no camera with depth
 
 
-def test_a_camera_that_is_not_there_leaves_nothing_running(make: Callable[..., FakeFranka]) -> None:
-    camera: CameraConfig = AdamanipTwinConfig(fps=30, width=8, height=8)  # of no twin
-    robot = make(cameras={"front": camera})
-    with pytest.raises(AdaManipError):
-        robot.connect()
-    assert not robot.is_connected
-
-
 class Arm:
     """Is at once where it is sent."""
 
@@ -408,14 +397,3 @@ def test_a_device_that_fails_while_it_opens_is_closed() -> None:
         device.connect()
     assert closed == ["keys"]
     assert not device.is_connected
-
-
-def test_all_are_called_and_the_first_error_is_raised(caplog: pytest.LogCaptureFixture) -> None:
-    resources = [Resource(name) for name in ("a", "b fails", "c fails", "d")]
-    with caplog.at_level(logging.WARNING), pytest.raises(OSError, match="b fails"):
-        close_all([each.disconnect for each in resources])
-    assert closed == ["a", "b fails", "c fails", "d"]
-    assert "c fails" in caplog.text
-    with pytest.raises(KeyboardInterrupt), closing_on_error(resources[1].disconnect):
-        raise KeyboardInterrupt
-    close_all([])

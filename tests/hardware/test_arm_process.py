@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arm_helpers import LOCKSTEP, eventually, fake_arm, pose_ahead
-from fake_arm import START_ROTATION
+from fake_arm import LOCKSTEP, START_ROTATION, eventually, fake_arm, pose_ahead
 
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
@@ -225,7 +224,7 @@ def test_a_flood_of_requests_leaves_the_ticks_their_time(arm: ArmClient) -> None
 RECORDER = """
 import sys, time
 sys.path.insert(0, {helpers!r})
-from arm_helpers import fake_arm, pose_ahead
+from fake_arm import fake_arm, pose_ahead
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 arm = fake_arm(speed=0.05, log={log!r}, connect_takes={takes})
 arm.connect()

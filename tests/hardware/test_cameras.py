@@ -1,22 +1,25 @@
-"""Frames of cameras, and two cameras in LeRobot's recording loop."""
+"""Frames of cameras, and pictures of an observation."""
 
 from __future__ import annotations
 
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.hardware.adamanip_franka.observed import (
+    DRIVER_DELAY_S,
+    QUEUED_PICTURES,
+    check_cameras,
+    pictures,
+)
 from lerobot_adamanip.hardware.camera_frames import Frame
-from lerobot_adamanip.hardware.cameras.base import MAX_AGE, LatestFrame, ThreadedCamera
-from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
-from lerobot_adamanip.util.errors import RobotError
+from lerobot_adamanip.hardware.cameras.base import MAX_AGE, FrameReader, LatestFrame, ThreadedCamera
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 HEIGHT, WIDTH = 24, 32
 
@@ -125,151 +128,95 @@ def test_connecting_waits_for_the_first_frame_and_closes_where_none_comes() -> N
     camera.disconnect()
 
 
-def test_a_frame_without_depth_says_so(camera: ScriptedCamera) -> None:
-    frame = numbered_frame(1, time.perf_counter())
-    camera.frames.put(Frame(frame.stamp, frame.stamp, frame.color, None, 1))
-    with pytest.raises(RobotError, match="takes no depth"):
-        camera.async_read_depth()
+class StampedCamera(FrameReader):
+    """A camera of this project without a thread."""
+
+    name, use_rgb, use_depth = "bench", True, True
+
+    def __init__(self, *exposed: float) -> None:
+        self.frames = LatestFrame()
+        for number, stamp in enumerate(exposed):
+            self.expose(stamp, number)
+
+    def expose(self, stamp: float, number: int) -> None:
+        depth = np.full((2, 2), number, np.uint16)
+        self.frames.put(Frame(stamp, time.perf_counter(), np.full((2, 2, 3), number, np.uint8), depth, number))
 
 
-def test_color_and_depth_that_are_read_together_are_of_one_frame() -> None:
-    """Hammered from another thread."""
-    slot, done = LatestFrame(), threading.Event()
+class OpenCVCamera:
+    """LeRobot's camera as far as its pictures are read: their only time is that of their arrival."""
 
-    def put() -> None:
-        number = 0
-        while not done.is_set():
-            number = number % 60_000 + 1  # depth has sixteen bits
-            slot.put(numbered_frame(number, time.perf_counter(), 2, 2))
+    use_rgb, fps = True, 30
 
-    thread = threading.Thread(target=put)
-    thread.start()
-    for _ in range(300):
-        frame = slot.after(0.0, 5.0)
-        assert frame is not None
-        assert frame.color is not None
-        assert frame.depth is not None
-        assert frame.color[0, 0, 0] == (frame.depth[0, 0] - 500) % 256
-    done.set()
-    thread.join()
+    def __init__(self, arrived: float) -> None:
+        self.latest_timestamp: float | None = arrived
+        self.number = 1
+
+    def read_latest(self, max_age_ms: int) -> Any:
+        return np.full((2, 2, 3), self.number, np.uint8)
+
+    def async_read(self) -> Any:
+        raise AssertionError("it returns a picture that may have waited since before the key frame")
+
+    def deliver(self) -> None:
+        self.latest_timestamp, self.number = time.perf_counter(), 2
 
 
-SIZE, FPS, FRAMES = 256, 30, 20
-LATE_MS, LATE_SHARE, P99_MS = 5.0, 0.01, 40.0
+DELAY = DRIVER_DELAY_S + QUEUED_PICTURES / OpenCVCamera.fps
+"""Time from rest until a picture of this camera counts as exposed after it [s]."""
 
 
-class Played(ThreadedCamera):
-    """Plays a textured surface that moves, as hard to encode as a real picture, round and round or once."""
-
-    def __init__(self, seed: int, key: str, *, freezes: bool) -> None:
-        super().__init__(SimpleNamespace(fps=FPS, width=SIZE, height=SIZE, use_rgb=True, use_depth=True), key)
-        self.freezes, self.number = freezes, 0
-        rng = np.random.default_rng(seed)
-        rows, columns = np.mgrid[:SIZE, :SIZE]
-        texture = rng.integers(0, 40, (SIZE // 8, SIZE // 8)).repeat(8, 0).repeat(8, 1)
-        waves = [100 + 60 * np.sin((columns + 3 * n) / 20) * np.cos(rows / 25) + texture for n in range(FRAMES)]
-        self.colors = [np.stack([each, 255 - each, np.roll(each, 40, 0)], axis=2).astype(np.uint8) for each in waves]
-        self.depths = [(900 + each + rng.integers(-1, 2, (SIZE, SIZE))).astype(np.uint16) for each in waves]
-
-    def _open(self) -> None:
-        self.due = time.perf_counter()
-
-    def _take(self, stop: threading.Event) -> Frame | None:
-        stop.wait(max(0.0, self.due - time.perf_counter()))
-        if self.freezes and self.number == FRAMES:
-            stop.wait(0.1)
-            return None
-        stamp, self.due, self.number = self.due, self.due + 1 / FPS, self.number + 1
-        place = self.number % FRAMES
-        return Frame(stamp, time.perf_counter(), self.colors[place], self.depths[place], self.number)
-
-    def _close(self) -> None: ...
+def later(seconds: float, call: Any, *arguments: Any) -> None:
+    threading.Timer(seconds, call, arguments).start()
 
 
-class Stand:
-    """An arm that stands still, with two cameras: what `record_loop` asks of a robot, and of a teleoperator."""
+def test_a_picture_from_before_the_rest_is_never_returned() -> None:
+    rest = time.perf_counter()
+    ours = StampedCamera(rest - 0.05)
+    later(0.1, lambda: ours.expose(time.perf_counter(), 5))
+    seen = pictures("front", ours, max_age=5.0, after=rest)  # type: ignore[arg-type]
+    assert {key: int(image.flat[0]) for key, image in seen.items()} == {"front": 5, "front_depth": 5}
 
-    name = "stand"
-    action_features = dict.fromkeys(POSE_NAMES, float)
-
-    def __init__(self, *, freezes: bool) -> None:
-        self.cameras = {
-            key: Played(seed, key, freezes=freezes and key == "side") for seed, key in enumerate(("front", "side"))
-        }
-        self.ticks: list[float] = []
-        self.ages: list[float] = []
-
-    def observation_features(self) -> dict[str, Any]:
-        pictures = dict.fromkeys(self.cameras, (SIZE, SIZE, 3))
-        depths = {f"{key}{DEPTH_SUFFIX}": (SIZE, SIZE, 1) for key in self.cameras}
-        return {**dict.fromkeys(SCALAR_NAMES, float), **pictures, **depths}
-
-    def get_observation(self) -> dict[str, Any]:
-        self.ticks.append(time.perf_counter())
-        told: dict[str, Any] = dict.fromkeys(SCALAR_NAMES, 0.0)
-        for key, camera in self.cameras.items():
-            frame = camera.latest_frame()
-            self.ages.append(time.perf_counter() - frame.stamp)
-            assert frame.depth is not None
-            told[key], told[f"{key}{DEPTH_SUFFIX}"] = frame.color, frame.depth[..., None]
-        return told
-
-    def send_action(self, action: dict[str, float]) -> dict[str, float]:
-        return action
+    stock = OpenCVCamera(arrived=rest + DELAY - 0.01)  # it arrived after the rest, and may be exposed before it
+    later(DELAY + 0.1, stock.deliver)
+    assert pictures("side", stock, max_age=5.0, after=rest)["side"].flat[0] == 2  # type: ignore[arg-type]
+    assert pictures("side", stock, max_age=5.0, after=None)["side"].flat[0] == 2  # type: ignore[arg-type]
 
 
-def same_action() -> Any:
-    """A teleoperator that always says the same."""
-    from lerobot.teleoperators.teleoperator import Teleoperator
-
-    def get_action(self: Any) -> dict[str, float]:
-        return dict.fromkeys(POSE_NAMES, 0.5)
-
-    own = {"__init__": lambda self: None, "get_action": get_action, "is_connected": False}
-    return type("Same", (Teleoperator,), {**dict.fromkeys(Teleoperator.__abstractmethods__), **own})()
+@pytest.mark.parametrize("camera", [StampedCamera(0.0), OpenCVCamera(0.0)])
+def test_the_robots_camera_age_is_how_long_it_waits(camera: Any) -> None:
+    for age in (0.05, 1.0):
+        began = time.perf_counter()
+        with pytest.raises(RobotError, match="frozen"):
+            pictures("front", camera, max_age=age, after=began)
+        assert age <= time.perf_counter() - began < age + DELAY + 0.5
 
 
-def recorded(root: Path, seconds: float, *, freezes: bool) -> tuple[Stand, int, str]:
-    """Records, with a second camera that may freeze; returns the arm, the frames and the first line of an error."""
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
-    from lerobot.processor import make_default_processors
-    from lerobot.scripts.lerobot_record import record_loop
-    from lerobot.utils.feature_utils import hw_to_dataset_features
-
-    stand, said = Stand(freezes=freezes), ""
-    features = {
-        **hw_to_dataset_features(stand.action_features, "action"),
-        **hw_to_dataset_features(stand.observation_features(), "observation"),
-    }
-    dataset = LeRobotDataset.create("local/check_cameras", FPS, features, root=root, image_writer_threads=8)
-    processors, events = make_default_processors(), {"exit_early": False}
-    for camera in stand.cameras.values():
-        camera.connect()
-    try:
-        record_loop(stand, events, FPS, *processors, dataset, same_action(), seconds, "stand still")
-    except RobotError as error:
-        said = str(error).splitlines()[0]
-    finally:
-        for camera in stand.cameras.values():
-            camera.disconnect()
-    frames = len(dataset.writer.episode_buffer["timestamp"]) if dataset.writer is not None else 0
-    dataset.clear_episode_buffer()
-    dataset.finalize()
-    return stand, frames, said
+def test_a_picture_of_after_the_rest_still_grows_too_old() -> None:
+    now = time.perf_counter()
+    camera: Any = StampedCamera(now - 1.0)
+    assert pictures("front", camera, max_age=2.0, after=now - 1.5)["front"].flat[0] == 0
+    with pytest.raises(RobotError, match="frozen"):
+        pictures("front", camera, max_age=0.2, after=now - 1.5)
 
 
-def test_a_frozen_camera_ends_the_recording_with_its_name(tmp_path: Path) -> None:
-    stand, _, said = recorded(tmp_path / "recorded", 60, freezes=True)
-    assert "Camera side" in said
-    assert "frozen" in said
-    assert max(stand.ages) <= MAX_AGE + 0.1  # no stale picture is taken
+def test_cameras_that_cannot_keep_the_promise_are_refused() -> None:
+    ours, webcam, network = StampedCamera(), OpenCVCamera(0.0), SimpleNamespace()
+    counts = SimpleNamespace(use_depth=True)  # LeRobot's RealSense class, of any unit
+    good: Any = {"front": ours, "side": webcam}
+    check_cameras(good, key_frames=True)
+    check_cameras({**good, "far": network}, key_frames=False)  # type: ignore[dict-item]
+    with pytest.raises(ConfigurationError, match=r"(?s)Camera far .*execution=stream"):
+        check_cameras({**good, "far": network}, key_frames=True)  # type: ignore[dict-item]
+    for key in ("front", "wrist"):
+        with pytest.raises(ConfigurationError, match=rf"(?s)depth of camera {key} .*adamanip_realsense"):
+            check_cameras({key: counts}, key_frames=False)  # type: ignore[dict-item]
 
 
-@pytest.mark.nightly
-@pytest.mark.timeout(400)
-def test_two_cameras_keep_thirty_hertz_for_a_minute(tmp_path: Path) -> None:
-    stand, frames, _ = recorded(tmp_path / "recorded", 60, freezes=False)
-    intervals = 1e3 * np.diff(stand.ticks)
-    assert frames >= 0.97 * 60 * FPS
-    assert (intervals > 1e3 / FPS + LATE_MS).mean() < LATE_SHARE
-    assert np.percentile(intervals, 99) <= P99_MS
+def test_the_stamped_cameras_are_lerobots() -> None:
+    from lerobot.cameras.opencv.camera_opencv import OpenCVCamera as Stock
+    from lerobot.cameras.opencv.configuration_opencv import OpenCVCameraConfig
+
+    camera = Stock(OpenCVCameraConfig(0))
+    assert camera.latest_timestamp is None
+    check_cameras({"side": camera}, key_frames=True)

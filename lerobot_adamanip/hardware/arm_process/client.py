@@ -84,16 +84,10 @@ class ArmClient:
             raise RobotError("The arm's process was started already.")
         try:
             self._start()
-            description = self._receive(0, self._connect_time, "connect")
-            until = time.perf_counter() + self._connect_time
-            while self._box(STATUS).number == 0:
-                if time.perf_counter() > until or not self.is_connected:
-                    raise RobotError(self._last_words("published no state"))
-                time.sleep(POLL_S)
+            return self._receive(0, self._connect_time, "connect")
         except BaseException:
             self.close()
             raise
-        return description
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()

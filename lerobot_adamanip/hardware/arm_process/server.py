@@ -91,12 +91,12 @@ class ArmServer:
         self._holding = self._lost = False
         self._fault: str | None = None
         self._backlog_s = 0.0
+        self._observe()
 
     def run(self) -> None:
         """Ticks until the recorder has ended, then stops the arm and waits for rest. Never raises `RobotError`."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder also gets it and ends this process cleanly
         signal.signal(signal.SIGTERM, self._end)
-        self._observe()
         due = time.perf_counter()
         while not self._ended:
             due += self._backend.period
@@ -337,8 +337,9 @@ def main(socket: int, memory: int, factory_name: str) -> int:
             served.backend.close()
         return 1
     try:
+        server = ArmServer(served, connection, boxes, start.server)
         _reply(connection, Reply(0, None, served.describe()))
-        ArmServer(served, connection, boxes, start.server).run()
+        server.run()
     except Exception as error:
         _reply(connection, Reply(0, f"the arm's process failed: {_text_of(error)}"))
         raise
