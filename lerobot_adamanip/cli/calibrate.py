@@ -16,8 +16,8 @@ from lerobot_adamanip.cli.arguments import print_result, require_suffix
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
-    from lerobot_adamanip.hardware.calibration.board import Board
     from lerobot_adamanip.hardware.calibration.hand_eye import HandEye
+    from lerobot_adamanip.hardware.calibration.views import Board
 
 DOTS_PER_METRE = 300 / 0.0254
 ENOUGH_PICTURES = 20
@@ -76,9 +76,9 @@ class Calibrate:
                 allowed="adamanip calibrate FOLDER",
                 hint="adamanip calibrate --board-image board.png",
             )
-        from lerobot_adamanip.hardware.calibration.file import save_calibration
         from lerobot_adamanip.hardware.calibration.hand_eye import solve
         from lerobot_adamanip.hardware.calibration.views import ViewFolder
+        from lerobot_adamanip.hardware.camera_frames import save_calibration
 
         if self.record is not None:
             self._record(self.folder, self.record)
@@ -101,13 +101,13 @@ class Calibrate:
         return 0
 
     def _board(self) -> Board:
-        from lerobot_adamanip.hardware.calibration.board import Board
+        from lerobot_adamanip.hardware.calibration.views import Board
 
         return Board(self.columns, self.rows, self.square, self.marker)
 
     def _record(self, folder: Path, robot_file: Path) -> None:
         from lerobot_adamanip.hardware.calibration.hand_eye import Mounting
-        from lerobot_adamanip.hardware.calibration.live import begin, camera_of, robot_from_file, take_views
+        from lerobot_adamanip.hardware.calibration.views import begin, camera_of, robot_from_file, take_views
         from lerobot_adamanip.hardware.closing import closing_on_error
 
         robot = robot_from_file(robot_file)

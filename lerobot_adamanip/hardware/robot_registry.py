@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 
 LOCKSTEP_DT = "lockstep_dt"
 """Session detail: duration of one step in lockstep [s]."""
@@ -62,8 +62,7 @@ class RobotRegistry:
         """Returns the session of ``robot_id``, or the only session without an id; None if not found."""
         if robot_id is not None:
             return self._sessions.get(robot_id)
-        sessions = list(self._sessions.values())
-        return sessions[0] if len(sessions) == 1 else None
+        return next(iter(self._sessions.values())) if len(self._sessions) == 1 else None
 
     def close(self, robot_id: str) -> None:
         """Removes a robot. Does nothing if it is not registered."""

@@ -26,8 +26,8 @@ EXACT = 2e-6
 
 
 @dataclass(frozen=True)
-class Placed:
-    """A target with its pose in float64.
+class TargetPose:
+    """A valid target with its pose in float64.
 
     Attributes:
         target: (10,) float32 target.
@@ -39,28 +39,71 @@ class Placed:
     position: Array
     rotation: Array
 
+    @classmethod
+    def of(cls, target: Target) -> TargetPose:
+        """Returns a valid target (10,) with its pose. Orthonormalises its rotation (Gram-Schmidt)."""
+        values = target.tolist()
+        a, b, c, d, e, f = values[3:9]
+        size = math.sqrt(a * a + b * b + c * c)
+        a, b, c = a / size, b / size, c / size
+        along = a * d + b * e + c * f
+        d, e, f = d - along * a, e - along * b, f - along * c
+        size = math.sqrt(d * d + e * e + f * f)
+        d, e, f = d / size, e / size, f / size
+        rotation = np.array(((a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)))
+        return cls(target, np.array(values[:3]), rotation)
 
-def placed(target: Target) -> Placed:
-    """Returns a valid target with its pose."""
-    values = target.tolist()
-    return Placed(target, np.array(values[:3]), _rotation(values[3:9]))
+    @classmethod
+    def at(cls, tcp_in_base: Array, gripper: float) -> TargetPose:
+        """Returns a pose (4, 4), rounded to float32 like every target."""
+        return cls.of(pose_vector(tcp_in_base, gripper))
 
+    @property
+    def gripper(self) -> float:
+        """Opening, 0 closed ... 1 open."""
+        return float(self.target[GRIPPER_DIM])
 
-def placed_at(tcp_in_base: Array, gripper: float) -> Placed:
-    """Returns a pose (4, 4), rounded to float32 like every target."""
-    return placed(pose_vector(tcp_in_base, gripper))
+    def distance(self, other: TargetPose) -> float:
+        """Returns the distance to another target [m]."""
+        return math.dist(self.position.tolist(), other.position.tolist())
 
+    def angle(self, other: TargetPose) -> float:
+        """Returns the angle to another rotation [rad]; exact for small angles, 0 for equal rotations."""
+        chord = (self.rotation - other.rotation).ravel()
+        return 2.0 * math.asin(min(1.0, math.sqrt(float(chord @ chord) / 8.0)))
 
-def _rotation(rows: list[float]) -> Array:
-    """Orthonormalises two nearly orthonormal rows (Gram-Schmidt)."""
-    a, b, c, d, e, f = rows
-    size = math.sqrt(a * a + b * b + c * c)
-    a, b, c = a / size, b / size, c / size
-    along = a * d + b * e + c * f
-    d, e, f = d - along * a, e - along * b, f - along * c
-    size = math.sqrt(d * d + e * e + f * f)
-    d, e, f = d / size, e / size, f / size
-    return np.array(((a, b, c), (d, e, f), (b * f - c * e, c * d - a * f, a * e - b * d)))
+    def turn_to(self, goal: TargetPose) -> tuple[Array, float]:
+        """Returns the rotation vector (3,) [rad] to a goal, in the own frame, and its length."""
+        vector = rotation_vector_from_matrix(self.rotation.T @ goal.rotation)
+        return vector, math.sqrt(float(vector @ vector))
+
+    def turned_by(self, vector: Array) -> TargetPose:
+        """Returns the target turned by a rotation vector (3,) [rad] in its own frame."""
+        rotation = self.rotation @ matrix_from_rotation_vector(vector)
+        return TargetPose.at(transform(self.position, rotation), self.gripper)
+
+    def moved_to(self, position: Array, gripper: float) -> TargetPose:
+        """Returns the target at another position [m] and opening. Its rotation stays bit-identical."""
+        target = self.target.copy()
+        target[POSITION_DIMS], target[GRIPPER_DIM] = position, gripper
+        return TargetPose(target, target[POSITION_DIMS].astype(np.float64), self.rotation)
+
+    def towards(self, goal: TargetPose, share: float) -> TargetPose:
+        """Returns the target at the fraction ``share`` of the path to a goal, with the goal's gripper."""
+        position = self.position + share * (goal.position - self.position)
+        same = (self.target[ROTATION_DIMS] == goal.target[ROTATION_DIMS]).all()
+        turned = self if same else self.turned_by(share * self.turn_to(goal)[0])
+        return turned.moved_to(position, goal.gripper)
+
+    def into_box(self, lower: Array, upper: Array) -> TargetPose:
+        """Returns the target with its position moved into a box and rounded inwards."""
+        position = np.clip(self.position, lower, upper)
+        if (position == self.position).all():
+            return self
+        rounded = position.astype(np.float32)
+        rounded = np.where(rounded < lower, np.nextafter(rounded, np.float32(np.inf)), rounded)
+        rounded = np.where(rounded > upper, np.nextafter(rounded, np.float32(-np.inf)), rounded)
+        return self.moved_to(rounded.astype(np.float64), self.gripper)
 
 
 def canonical(target: NDArray[np.generic]) -> Target | None:
@@ -70,54 +113,22 @@ def canonical(target: NDArray[np.generic]) -> Target | None:
     """
     try:
         with np.errstate(over="ignore"):
-            wanted = np.array(target, dtype=np.float32)
+            result = np.array(target, dtype=np.float32)
     except (TypeError, ValueError):
         return None
-    if wanted.shape != (ACTION_DIM,) or not np.isfinite(wanted).all():
+    if result.shape != (ACTION_DIM,) or not np.isfinite(result).all():
         return None
-    a, b, c, d, e, f = (float(value) for value in wanted[ROTATION_DIMS])
+    a, b, c, d, e, f = (float(value) for value in result[ROTATION_DIMS])
     error = max(abs(a * a + b * b + c * c - 1), abs(d * d + e * e + f * f - 1), abs(a * d + b * e + c * f))
     if error > ROUGH:
         return None
     if error > EXACT:
-        wanted[ROTATION_DIMS] = placed(wanted).rotation[:2].ravel()
-    wanted[GRIPPER_DIM] = min(max(float(wanted[GRIPPER_DIM]), 0.0), 1.0)
-    return wanted
+        result[ROTATION_DIMS] = TargetPose.of(result).rotation[:2].ravel()
+    result[GRIPPER_DIM] = min(max(float(result[GRIPPER_DIM]), 0.0), 1.0)
+    return result
 
 
-def distance(first: Placed, second: Placed) -> float:
-    """Returns the distance between two targets [m]."""
-    return math.dist(first.position.tolist(), second.position.tolist())
-
-
-def angle(first: Placed, second: Placed) -> float:
-    """Returns the angle between two targets' rotations [rad]; exact for small angles, 0 for equal rotations."""
-    chord = (first.rotation - second.rotation).ravel()
-    return 2.0 * math.asin(min(1.0, math.sqrt(float(chord @ chord) / 8.0)))
-
-
-def turn_vector(start: Placed, goal: Placed) -> tuple[Array, float]:
-    """Returns the rotation vector (3,) [rad] from start to goal, in the start's frame, and its length."""
-    vector = rotation_vector_from_matrix(start.rotation.T @ goal.rotation)
-    return vector, math.sqrt(float(vector @ vector))
-
-
-def turned_by(start: Placed, vector: Array) -> Placed:
-    """Returns the target turned by a rotation vector (3,) [rad] in its own frame."""
-    rotation = start.rotation @ matrix_from_rotation_vector(vector)
-    return placed_at(transform(start.position, rotation), float(start.target[GRIPPER_DIM]))
-
-
-def moved_to(start: Placed, position: Array, gripper: float) -> Placed:
-    """Returns the target at another position [m] and opening. Its rotation stays bit-identical."""
-    target = start.target.copy()
-    target[POSITION_DIMS], target[GRIPPER_DIM] = position, gripper
-    return Placed(target, target[POSITION_DIMS].astype(np.float64), start.rotation)
-
-
-def between(start: Placed, goal: Placed, share: float) -> Placed:
-    """Returns the target at the fraction ``share`` of the path, with the gripper of ``goal``."""
-    position = start.position + share * (goal.position - start.position)
-    same = (start.target[ROTATION_DIMS] == goal.target[ROTATION_DIMS]).all()
-    turned = start if same else turned_by(start, share * turn_vector(start, goal)[0])
-    return moved_to(turned, position, float(goal.target[GRIPPER_DIM]))
+def pose_error(tcp_in_base: Array, goal_in_base: Array) -> tuple[float, float]:
+    """Returns the distance between two (4, 4) poses [m, rad]."""
+    turn = rotation_vector_from_matrix(tcp_in_base[:3, :3].T @ goal_in_base[:3, :3])
+    return math.dist(tcp_in_base[:3, 3], goal_in_base[:3, 3]), math.sqrt(float(turn @ turn))

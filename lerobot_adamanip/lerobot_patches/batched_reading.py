@@ -113,12 +113,12 @@ class _Columns:
         """
         batch = {name: self._at(name, rows) for name in self._arrays if name not in deltas}
         for name, steps in deltas.items():
-            wanted = rows[:, None] + np.asarray(steps, dtype=np.int64)
+            steps_at = rows[:, None] + np.asarray(steps, dtype=np.int64)
             first, last = (bound[rows, None] for bound in self._bounds)
-            batch[f"{name}_is_pad"] = torch.from_numpy((wanted < first) | (wanted > last))
+            batch[f"{name}_is_pad"] = torch.from_numpy((steps_at < first) | (steps_at > last))
             if name in self._arrays:
-                found = self._at(name, wanted.clip(first, last).ravel())
-                batch[name] = found.reshape(*wanted.shape, *found.shape[1:])
+                values = self._at(name, steps_at.clip(first, last).ravel())
+                batch[name] = values.reshape(*steps_at.shape, *values.shape[1:])
         return batch
 
     def _at(self, name: str, rows: NDArray[np.int64]) -> torch.Tensor:

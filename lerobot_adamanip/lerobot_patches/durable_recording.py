@@ -42,10 +42,10 @@ from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
-from lerobot_adamanip.hardware.calibration.file import save_calibration
+from lerobot_adamanip.hardware.camera_frames import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
 from lerobot_adamanip.util import files
 
@@ -165,7 +165,7 @@ class DurableWriter(DatasetWriter):
 def rehearse() -> None:
     """Records two episodes of one row into a scratch folder. Raises if a saved one cannot be read."""
     names = {STATE: SCALAR_NAMES, ACTION: POSE_NAMES}
-    features = {key: {"dtype": "float32", "shape": (len(each),), "names": list(each)} for key, each in names.items()}
+    features = {key: {"dtype": "float32", "shape": (len(own),), "names": list(own)} for key, own in names.items()}
     quiet = datasets.are_progress_bars_disabled()
     datasets.disable_progress_bars()
     try:
@@ -173,13 +173,13 @@ def rehearse() -> None:
             root = Path(folder) / "rehearsal"
             dataset = LeRobotDataset.create("local/rehearsal", 30, features, root=root)
             for episodes in (1, 2):
-                row = {key: np.zeros(len(each), np.float32) for key, each in names.items()}
+                row = {key: np.zeros(len(own), np.float32) for key, own in names.items()}
                 dataset.add_frame({**row, "task": "rehearsal"})
                 dataset.save_episode()
                 counted = json.loads((root / "meta" / INFO).read_text(encoding="utf-8"))["total_episodes"]
-                found = [_rows(root / name) for name in ("data", "meta/episodes")]
-                if [counted, *found] != [episodes] * 3:
-                    raise ValueError(f"{[counted, *found]} of {episodes} saved episodes are readable")
+                counts = [counted, *(_rows(root / name) for name in ("data", "meta/episodes"))]
+                if counts != [episodes] * 3:
+                    raise ValueError(f"{counts} of {episodes} saved episodes are readable")
             dataset.finalize()
     finally:
         if not quiet:
@@ -200,8 +200,7 @@ def repair_recording(root: Path) -> None:
             return
     except (OSError, ValueError):
         return  # LeRobot reports the error
-    done = repair(root)
-    for line in done.lines():
+    for line in repair(root).lines():
         _log.warning("%s: %s", root.name, line)
 
 

@@ -77,15 +77,17 @@ def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
 
     @functools.wraps(stock)
     def record_loop(*args: Any, **kwargs: Any) -> Any:
-        given = signature.bind(*args, **kwargs).arguments
-        robot, dataset, events = given["robot"], given.get("dataset"), given["events"]
+        arguments = signature.bind(*args, **kwargs).arguments
+        robot, dataset, events = arguments["robot"], arguments.get("dataset"), arguments["events"]
         listens = isinstance(robot, EpisodicRobot)
         if dataset is None and listens and robot.resets_itself:
             events["exit_early"] = False  # as LeRobot's loop leaves it
             return None
         if dataset is not None and listens:
             robot.begin_episode(int(dataset.num_episodes))
-        _count(robot)
+        session = ROBOTS.find(getattr(robot, "id", None)) or ROBOTS.find()
+        if session is not None:
+            session.episodes += 1  # teleoperators anchor their goal again
         if dataset is not None:
             _running.append(events)
         try:
@@ -97,10 +99,3 @@ def telling(stock: Callable[..., Any]) -> Callable[..., Any]:
                     robot.end_episode(int(dataset.num_episodes), Path(dataset.root))
 
     return record_loop
-
-
-def _count(robot: Any) -> None:
-    """Counts an episode, so that teleoperators anchor their goal again."""
-    session = ROBOTS.find(getattr(robot, "id", None)) or ROBOTS.find()
-    if session is not None:
-        session.episodes += 1

@@ -53,8 +53,8 @@ def apply() -> None:
 
 def in_order(encoder: DepthEncoderConfig) -> DepthEncoderConfig:
     """Returns a depth encoder without B-frames. Other codecs, or an encoder with B-frames set, stay unchanged."""
-    given = str(encoder.extra_options.get(_X265, ""))
-    if encoder.vcodec not in ("hevc", "libx265") or "bframes" in given:
+    parameters = str(encoder.extra_options.get(_X265, ""))
+    if encoder.vcodec not in ("hevc", "libx265") or "bframes" in parameters:
         return encoder
-    options = {**encoder.extra_options, _X265: ":".join(filter(None, (given, "bframes=0")))}
+    options = {**encoder.extra_options, _X265: ":".join(filter(None, (parameters, "bframes=0")))}
     return dataclasses.replace(encoder, extra_options=options)

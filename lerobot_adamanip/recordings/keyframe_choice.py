@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector
-from lerobot_adamanip.hardware.motion_outcome import pose_error
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.recordings.sparsify import DenseTrajectory, SparsifyOptions, distance, sparsify
 from lerobot_adamanip.util.errors import DatasetError
 

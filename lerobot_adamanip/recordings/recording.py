@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations
 from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
     DEPTH_SUFFIX,
@@ -31,8 +30,7 @@ from lerobot_adamanip.hardware.features import (
     is_dense,
     names_of,
 )
-from lerobot_adamanip.hardware.safety import accepted
-from lerobot_adamanip.hardware.safety_limits import limits_from_json
+from lerobot_adamanip.hardware.safety import accepted, limits_from_json
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 

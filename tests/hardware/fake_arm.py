@@ -7,17 +7,17 @@ import json
 import os
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.contract.rotations import pose_from_vector, transform
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Array
-from lerobot_adamanip.hardware.arm_process.encoding import message
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, transform
+from lerobot_adamanip.hardware.arm import RESET, ArmMode, ArmReading, ArmStatus, ArmTarget, Array, Served, ServerOptions
+from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, message
 from lerobot_adamanip.util.errors import RobotError
 
 START_ROTATION = np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0)))
@@ -183,3 +183,43 @@ def _towards(start: Array, goal: Array, step: float) -> Array:
 def serve_fake(options: FakeOptions, _: Mapping[str, Mailbox]) -> Served:
     backend = FakeBackend(options)
     return Served(backend, {"inject": backend.inject, RESET: backend.reset, "targets": backend.targets})
+
+
+FAKE = "fake_arm:serve_fake"
+PATIENT = ServerOptions(state_age=5.0, command_age=0.5)
+LOCKSTEP = ServerOptions(lockstep_fps=30.0)
+
+
+class FakeArm(ArmClient):
+    """Connected within its context."""
+
+    def __enter__(self) -> ArmClient:
+        self.connect()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def fake_arm(server: ServerOptions = PATIENT, **options: Any) -> FakeArm:
+    return FakeArm(FAKE, FakeOptions(**options), server=server, connect_time=60.0)
+
+
+def eventually(client: ArmClient, condition: Callable[[ArmStatus], bool], seconds: float = 10.0) -> ArmStatus:
+    """The first status that meets a condition."""
+    until = time.perf_counter() + seconds
+    while time.perf_counter() < until:
+        status = client.status()
+        if condition(status):
+            return status
+        time.sleep(0.005)
+    raise AssertionError(f"never: {status}")
+
+
+def pose_ahead(client: ArmClient, x: float = 0.0, gripper: float = 1.0) -> NDArray[np.float32]:
+    """The action that moves the tool by ``x`` from where it is."""
+    reading = client.status().reading
+    assert reading is not None
+    pose = pose_vector(reading.tcp_in_base, gripper)
+    pose[0] += x
+    return pose

@@ -12,8 +12,7 @@ from lerobot_adamanip.contract.rotations import (
     pose_vector,
     transform,
 )
-from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import HAND_CORNERS, SafetyLimits
+from lerobot_adamanip.hardware.safety import HAND_CORNERS, SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
 
 LIMITS = SafetyLimits((0.2, -0.5, 0.0), (0.8, 0.5, 0.7))

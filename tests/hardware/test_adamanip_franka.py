@@ -1,4 +1,4 @@
-"""The robot as LeRobot uses it, on the fake arm in its process: features, filter, key frames, streams, faults, life."""
+"""The robot as LeRobot uses it, on the fake arm: features, filter, key frames, streams, faults, closing."""
 
 from __future__ import annotations
 
@@ -7,26 +7,30 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import draccus
 import numpy as np
 import pytest
-from arm_helpers import LOCKSTEP, PATIENT, eventually, fake_arm
-from lerobot.cameras.configs import CameraConfig
+from fake_arm import LOCKSTEP, PATIENT, eventually, fake_arm
+from filter_fuzz import LIMITS, START
 from lerobot.robots import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 
 from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.rotations import Array, pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
-from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
+from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka, MotionDriver
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.robot_registry import ROBOTS
+from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
+from lerobot_adamanip.hardware.safety import SafetyFilter
+from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig
+from lerobot_adamanip.hardware.teleoperators.devices import AdamanipKeyboard
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
-from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
 
@@ -165,16 +169,12 @@ def test_a_key_frame_is_one_call_and_its_end_is_observed(make: Callable[..., Fak
     assert robot.get_observation()["arm.outcome"] == Outcome.STALLED
 
 
-def test_malformed_actions_keep_the_last_and_ten_end_it(make: Callable[..., FakeFranka]) -> None:
+def test_a_malformed_action_keeps_the_last_and_a_missing_name_is_an_error(make: Callable[..., FakeFranka]) -> None:
     robot = make(LOCKSTEP)
     robot.connect()
     start = pose_of(robot.get_observation())
     last = robot.send_action(start)
-    wrong = {**start, "ee.x.pos": float("nan")}
-    for _ in range(9):
-        assert robot.send_action(wrong) == last
-    with pytest.raises(RobotError, match="10 malformed"):
-        robot.send_action(wrong)
+    assert robot.send_action({**start, "ee.x.pos": float("nan")}) == last
     with pytest.raises(ConfigurationError, match=r"no gripper\.pos"):
         robot.send_action(dict.fromkeys(POSE_NAMES[:9], 0.0))
 
@@ -250,9 +250,150 @@ def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(
     assert robot.is_calibrated  # no camera with depth
 
 
-def test_a_camera_that_is_not_there_leaves_nothing_running(make: Callable[..., FakeFranka]) -> None:
-    camera: CameraConfig = AdamanipTwinConfig(fps=30, width=8, height=8)  # of no twin
-    robot = make(cameras={"front": camera})
-    with pytest.raises(AdaManipError):
-        robot.connect()
-    assert not robot.is_connected
+class Arm:
+    """Is at once where it is sent."""
+
+    def __init__(self, at: Array) -> None:
+        self.at, self.outcomes = at, [Outcome.REACHED] * 9
+        self.sent: list[tuple[Execution, np.ndarray]] = []
+
+    def send(self, pose: np.ndarray, execution: Execution) -> int:
+        self.sent.append((execution, pose))
+        return len(self.sent)
+
+    def wait(self, number: int, time_limit: float) -> Any:
+        outcome = self.outcomes.pop(0)
+        if outcome is Outcome.REACHED:
+            self.at = pose_from_vector(self.sent[number - 1][1])[0]
+        return SimpleNamespace(reading=reading(self.at, outcome))
+
+    def healthy(self) -> Any:
+        return SimpleNamespace(reading=reading(self.at, None))
+
+
+def reading(at: Array, outcome: Outcome | None) -> ArmReading:
+    seven = np.zeros(7)
+    return ArmReading(0.0, 0.0, at, 1.0, seven, seven, seven, ArmMode.IDLE, outcome=outcome)
+
+
+@pytest.fixture
+def arm() -> Arm:
+    return Arm(START)
+
+
+@pytest.fixture
+def session() -> RobotSession:
+    return RobotSession()
+
+
+@pytest.fixture
+def driver(arm: Arm, session: RobotSession) -> MotionDriver:
+    driver = MotionDriver(arm, session, SafetyFilter(LIMITS), Execution.KEYFRAME, 60.0)  # type: ignore[arg-type]
+    driver.anchor()
+    return driver
+
+
+def floor(turn: float) -> np.ndarray:
+    position = (0.5, 0.0, LIMITS.box_lower[2])
+    return pose_vector(transform(position, START[:3, :3] @ rotation_about((0, 0, 1), turn)), 1.0)
+
+
+def test_a_key_frame_that_turns_at_the_floor_is_sent_in_three_motions(
+    driver: MotionDriver, arm: Arm, session: RobotSession
+) -> None:
+    driver.send(floor(0.0), reading(arm.at, None))
+    sent = driver.send(floor(np.pi / 2), reading(arm.at, None))
+    assert len(arm.sent) == 4
+    assert sent.tobytes() == arm.sent[-1][1].tobytes()
+    assert session.sent is not None
+    assert session.sent.tobytes() == sent.tobytes()
+    driver.send(floor(np.pi / 2), reading(arm.at, None))
+    assert len(arm.sent) == 4  # the same again is no motion
+
+
+def test_a_detour_that_is_blocked_ends_the_key_frame(driver: MotionDriver, arm: Arm, session: RobotSession) -> None:
+    driver.send(floor(0.0), reading(arm.at, None))
+    arm.outcomes = [Outcome.STALLED]
+    sent = driver.send(floor(np.pi / 2), reading(arm.at, None))
+    assert len(arm.sent) == 2
+    assert sent.tobytes() == arm.sent[-1][1].tobytes()
+    assert session.reading is not None
+    assert session.reading.outcome is Outcome.STALLED
+
+
+closed: list[str] = []
+
+
+@pytest.fixture(autouse=True)
+def _nothing_closed() -> None:
+    closed.clear()
+
+
+class Resource:
+    """A camera or client that fails where its name says so: ``fails`` on closing, ``missing`` on connecting."""
+
+    width, height, use_rgb, is_connected = 8, 8, True, True
+    server = SimpleNamespace(lockstep_fps=None)
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def connect(self) -> dict[str, Any]:
+        if "missing" in self.name:
+            raise RobotError(f"{self.name} is not there")
+        return {}
+
+    def disconnect(self) -> None:
+        closed.append(self.name)
+        if "fails" in self.name:
+            raise OSError(f"{self.name} at closing")
+
+    def request(self, *_: Any, **__: Any) -> dict[str, Any]:
+        raise RobotError("the process does not answer")
+
+    close = disconnect
+
+
+def robot(folder: Path, *cameras: str) -> AdamanipFranka:
+    config = AdamanipFrankaConfig(id="closing", calibration_dir=folder, box_lower=(0, 0, 0), box_upper=(1, 1, 1))
+    made = AdamanipFranka(config)
+    made.cameras = {name: Resource(name) for name in cameras}  # type: ignore[misc]
+    made._make_client = lambda: Resource("arm")  # type: ignore[assignment,method-assign,return-value]
+    made._open_session = lambda *_: ROBOTS.open("closing")  # type: ignore[assignment,method-assign]
+    return made
+
+
+def test_a_camera_that_fails_at_closing_leaves_no_other_open(tmp_path: Path) -> None:
+    made = robot(tmp_path, "first fails", "second", "third fails")
+    made.connect()
+    with pytest.raises(OSError, match="first fails at closing"):
+        made.disconnect()
+    assert closed == ["arm", "first fails", "second", "third fails"]
+    assert ROBOTS.find("closing") is None
+    made.disconnect()
+    assert len(closed) == 4
+
+
+def test_an_error_of_closing_does_not_hide_the_one_of_connecting(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    with pytest.raises(RobotError, match="second missing is not there"):
+        robot(tmp_path, "first fails", "second missing").connect()
+    assert closed == ["arm", "first fails", "second missing"]
+    assert "first fails at closing" in caplog.text
+
+
+def test_a_device_that_fails_while_it_opens_is_closed() -> None:
+    class Broken(AdamanipKeyboard):
+        def _listen(self) -> Any:
+            self._listener = Resource("keys")
+            raise RobotError("no display")
+
+        def _close(self) -> None:
+            self._listener.disconnect()
+
+    device = Broken(AdamanipKeyboardConfig())
+    with pytest.raises(RobotError, match="no display"):
+        device.connect()
+    assert closed == ["keys"]
+    assert not device.is_connected

@@ -1,4 +1,4 @@
-"""The arm's process with the fake in it: targets, stalls, watchdogs, faults, deaths. Every test has a real process."""
+"""The arm process with a fake arm: targets, faults, lockstep, deaths of either process, and checks of targets."""
 
 from __future__ import annotations
 
@@ -15,12 +15,20 @@ from typing import Any
 
 import numpy as np
 import pytest
-from arm_helpers import LOCKSTEP, eventually, fake_arm, pose_ahead
+from fake_arm import LOCKSTEP, START_ROTATION, eventually, fake_arm, pose_ahead
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.hardware.arm import ArmReading, Execution
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.hardware.arm import (
+    ArmReading,
+    ArmStatus,
+    ArmTarget,
+    Execution,
+    ServerOptions,
+)
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
+from lerobot_adamanip.hardware.arm_process.server import malformed
+from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.util.errors import RobotError
 
 
@@ -70,9 +78,8 @@ def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
     with fake_arm(speed=0.05) as arm:
         for x in (0.3, -0.3, 1.0):
             arm.send(pose_ahead(arm, x), Execution.STREAM)
-        held = eventually(arm, lambda status: status.holding)
-        assert held.sent is not None
-        assert held.sent[0] > 1.0
+        eventually(arm, lambda status: status.holding)
+        assert arm.request("targets")["targets"][-1][0] > 1.0
         stands = position(arm)
         assert 0.5 < stands < 0.6  # on its way, 1 m ahead, when commands stopped
         time.sleep(0.2)
@@ -204,10 +211,20 @@ def test_in_lockstep_a_reset_is_seen_at_once_and_begins_time_anew() -> None:
             arm.request("reset", {"seed": 7})
 
 
+def test_a_flood_of_requests_leaves_the_ticks_their_time(arm: ArmClient) -> None:
+    before = read(arm.status()).robot_time
+    until = time.perf_counter() + 0.5
+    while time.perf_counter() < until:
+        arm.post("targets")
+        arm.healthy()
+    assert read(arm.status()).robot_time > before + 0.2
+    assert arm.request("targets") == {"targets": []}  # no request starves
+
+
 RECORDER = """
 import sys, time
 sys.path.insert(0, {helpers!r})
-from arm_helpers import fake_arm, pose_ahead
+from fake_arm import fake_arm, pose_ahead
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 arm = fake_arm(speed=0.05, log={log!r}, connect_takes={takes})
 arm.connect()
@@ -266,3 +283,38 @@ def test_terminal_signals_do_not_reach_the_arm_before_its_recorder(arm: ArmClien
     arm.healthy()
     os.kill(pid, signal.SIGTERM)
     assert arm._process.wait(10) == 0
+
+
+OPTIONS = ServerOptions(limits=SafetyLimits((0.2, -0.4, 0.0), (0.8, 0.4, 0.7), lead=0.04, angular_lead=0.15))
+HERE = transform((0.5, 0.0, 0.4), START_ROTATION)
+
+
+def refused(position: tuple[float, float, float], execution: Execution, turn: float = 0.0) -> str | None:
+    tool = transform(position, START_ROTATION @ rotation_about((0, 0, 1), turn))
+    return malformed(ArmTarget(pose_vector(tool, 1.0), execution, 0.0), OPTIONS, HERE)
+
+
+@pytest.mark.parametrize(
+    ("position", "execution", "turn", "message"),
+    [
+        ((0.5, 0.0, 0.35), Execution.STREAM, 0.0, None),
+        ((0.5, 0.0, 0.3), Execution.STREAM, 0.0, "jumps"),
+        ((0.5, 0.0, 0.4), Execution.STREAM, 0.4, "jumps"),
+        ((0.7, 0.2, 0.1), Execution.KEYFRAME, 1.0, None),  # a whole motion may be far
+        ((0.5, 0.0, 0.02), Execution.KEYFRAME, 0.0, None),
+        ((0.5, 0.0, 0.02), Execution.KEYFRAME, np.pi / 2, "hand outside the box"),  # the tool is inside, a corner not
+        ((0.5, 0.0, 0.01), Execution.KEYFRAME, 0.0, "hand outside the box"),
+    ],
+)
+def test_the_server_bounds_jumps_and_the_hands_corners_itself(
+    position: tuple[float, float, float], execution: Execution, turn: float, message: str | None
+) -> None:
+    problem = refused(position, execution, turn)
+    assert (problem is None) if message is None else (problem is not None and message in problem)
+
+
+@pytest.mark.parametrize(("values", "message"), [({2: np.nan}, "no pose"), ({3: 0.5}, "rotation is none")])
+def test_the_server_takes_poses_only(values: dict[int, float], message: str) -> None:
+    pose = pose_vector(HERE, 1.0)
+    pose[list(values)] = list(values.values())
+    assert message in str(malformed(ArmTarget(pose, Execution.KEYFRAME, 0.0), OPTIONS, HERE))

@@ -1,29 +1,100 @@
-"""Calibration on rendered boards, of which the truth is known."""
+"""Calibration on rendered boards, of which the truth is known, and its file."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from calibration_helpers import BOARD, CAMERA, INTRINSICS, Truth, rendered, truth, views_of, write_views
 from numpy.typing import NDArray
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
-from lerobot_adamanip.hardware.calibration.board import Board
-from lerobot_adamanip.hardware.calibration.file import read_calibrations
-from lerobot_adamanip.hardware.calibration.hand_eye import FEWEST_VIEWS, Mounting, View, solve
-from lerobot_adamanip.hardware.calibration.live import begin, camera_of, take_views
-from lerobot_adamanip.hardware.calibration.views import ViewFolder
-from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
+from lerobot_adamanip.hardware.calibration.hand_eye import MIN_VIEWS, Mounting, View, solve
+from lerobot_adamanip.hardware.calibration.views import Board, ViewFolder, begin, camera_of, take_views
+from lerobot_adamanip.hardware.camera_frames import (
+    CameraCalibration,
+    Frame,
+    Intrinsics,
+    read_calibrations,
+    save_calibration,
+)
 from lerobot_adamanip.hardware.cameras.base import FrameReader
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
+
+Array = NDArray[np.float64]
+BOARD = Board()
+INTRINSICS = Intrinsics(np.array([[610.0, 0, 322.0], [0, 608.0, 238.0], [0, 0, 1]]), np.zeros(5), 640, 480)
+CAMERA = transform((0.55, -0.58, 1.16), matrix_from_rotation_vector(np.array([-2.0, 0.1, 0.3])))
+ON_HAND = transform((0.05, 0.01, -0.07), matrix_from_rotation_vector(np.array([0.05, -0.1, 1.5])))
+BOARD_POSE = transform((0.02, -0.1, 0.05), matrix_from_rotation_vector(np.array([0.3, 0.2, -0.4])))
+DOTS = 4000.0
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a calibration has to find: the camera's pose, and where tool and board were in each picture."""
+
+    mounting: Mounting
+    camera: Array
+    tcp_in_base: list[Array]
+    board_in_camera: list[Array]
+
+
+def truth(seed: int, count: int = 20, mounting: Mounting = Mounting.FIXED, tilt: float = 0.6) -> Truth:
+    """Poses of the board before the camera, 0.45 ... 0.75 m away, tilted to all sides by up to ``tilt`` [rad]."""
+    rng = np.random.default_rng(seed)
+    camera = CAMERA if mounting is Mounting.FIXED else ON_HAND
+    tools, boards = [], []
+    for _ in range(count):
+        turned = matrix_from_rotation_vector(rng.uniform(-1, 1, 3) * (tilt, tilt, 1.5 * tilt))
+        middle = np.array([BOARD.columns, BOARD.rows, 0]) * BOARD.square / 2
+        place = np.array([*rng.uniform(-0.06, 0.06, 2), rng.uniform(0.45, 0.75)])
+        board = transform(place - turned @ middle, turned)
+        seen = camera @ board @ np.linalg.inv(BOARD_POSE)
+        boards.append(board)
+        tools.append(seen if mounting is Mounting.FIXED else BOARD_POSE @ np.linalg.inv(board) @ np.linalg.inv(camera))
+    return Truth(mounting, camera, tools, boards)
+
+
+def rendered(board_in_camera: Array) -> NDArray[np.uint8]:
+    """The picture (H, W) of a board, rendered at twice its size, so that edges are smooth."""
+    import cv2
+
+    drawn = BOARD.image(DOTS)
+    margin = BOARD.square / 2
+    to_metres = np.array([[1 / DOTS, 0, 0.5 / DOTS - margin], [0, 1 / DOTS, 0.5 / DOTS - margin], [0, 0, 1]])
+    to_pixels = INTRINSICS.matrix @ board_in_camera[:3, [0, 1, 3]]
+    twice = np.array([[2, 0, 0.5], [0, 2, 0.5], [0, 0, 1.0]])
+    size = (2 * INTRINSICS.width, 2 * INTRINSICS.height)
+    picture = cv2.warpPerspective(drawn, twice @ to_pixels @ to_metres, size, flags=cv2.INTER_LINEAR, borderValue=90)
+    return np.asarray(
+        cv2.resize(picture, (INTRINSICS.width, INTRINSICS.height), interpolation=cv2.INTER_AREA), np.uint8
+    )
+
+
+def views_of(known: Truth, seed: int, *, pixels: float = 0.2, metres: float = 1e-4) -> list[View]:
+    """The corners found in rendered pictures, with noise on them and on the tool's poses."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for index, (tool, board) in enumerate(zip(known.tcp_in_base, known.board_in_camera, strict=True)):
+        points, seen = BOARD.detect(rendered(board))
+        moved = transform(rng.normal(0, metres, 3)) @ tool
+        found.append(View(f"view_{index:03d}.png", moved, points, seen + rng.normal(0, pixels, seen.shape)))
+    return [view for view in found if len(view.points)]
+
+
+def write_views(folder: Path, known: Truth, **changes: Any) -> ViewFolder:
+    """A folder of rendered pictures and poses."""
+    made = ViewFolder(folder, "0123", known.mounting, BOARD, INTRINSICS, **changes)
+    for tool, board in zip(known.tcp_in_base, known.board_in_camera, strict=True):
+        made = made.added(np.repeat(rendered(board)[..., None], 3, axis=2), tool)
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +146,9 @@ def test_one_swapped_pose_is_named(fixed: tuple[Truth, list[View]]) -> None:
 
 def test_too_few_and_too_similar_poses_are_refused(fixed: tuple[Truth, list[View]]) -> None:
     with pytest.raises(ConfigurationError, match="Too few") as caught:
-        solve(fixed[1][: FEWEST_VIEWS - 1], INTRINSICS, Mounting.FIXED)
-    assert str(FEWEST_VIEWS) in str(caught.value)
-    solve(fixed[1][:FEWEST_VIEWS], INTRINSICS, Mounting.FIXED)
+        solve(fixed[1][: MIN_VIEWS - 1], INTRINSICS, Mounting.FIXED)
+    assert str(MIN_VIEWS) in str(caught.value)
+    solve(fixed[1][:MIN_VIEWS], INTRINSICS, Mounting.FIXED)
     with pytest.raises(ConfigurationError, match="too much alike"):
         solve(views_of(truth(5, 14, tilt=0.1), 5), INTRINSICS, Mounting.FIXED)
     with pytest.raises(ConfigurationError, match="Too few"):
@@ -163,11 +234,8 @@ def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.Cap
     assert "No picture shows the board" in said.err
 
 
-def test_older_folders_are_read_and_a_missing_picture_is_named(tmp_path: Path) -> None:
+def test_a_missing_picture_is_named(tmp_path: Path) -> None:
     folder = write_views(tmp_path, truth(0, 2))
-    told = json.loads((tmp_path / "views.json").read_text())
-    told["board"]["legacy"] = False  # as older folders have it
-    (tmp_path / "views.json").write_text(json.dumps(told))
     assert ViewFolder.open(tmp_path).board == BOARD
     (tmp_path / "view_001.png").unlink()
     with pytest.raises(ConfigurationError, match=r"view_001\.png"):
@@ -265,3 +333,97 @@ def test_pictures_are_taken_with_a_robot_and_only_good_ones_kept(tmp_path: Path)
         begin(tmp_path, camera, Mounting.WRIST, BOARD)
     with pytest.raises(ConfigurationError, match="no camera phone"):
         camera_of(robot, "phone")
+
+
+POSE = transform((0.1, -0.58, 1.16), matrix_from_rotation_vector(np.array([0.3, -2.0, 0.4])))
+IMAGER = Intrinsics(
+    np.array([[380.1, 0, 320.2], [0, 381.3, 239.9], [0, 0, 1]]), np.array([0.1, 0, 0, 0, 0.2]), 640, 480
+)
+FRONT = CameraCalibration("0123456789", IMAGER, POSE, None, IMAGER, np.eye(4))
+WRIST = CameraCalibration("wrist one", IMAGER, None, POSE)
+
+
+def test_what_is_written_is_read_to_the_last_bit(tmp_path: Path) -> None:
+    path = tmp_path / "new" / "lab.cameras.json"
+    save_calibration(path, "front", FRONT, {"rms_px": 0.21, "date": "2026-01-02"})
+    save_calibration(path, "wrist", WRIST)
+    found = read_calibrations(path)
+    assert list(found) == ["front", "wrist"]
+    for one, other in ((found["front"], FRONT), (found["wrist"], WRIST)):
+        assert one.camera == other.camera
+        for name in ("depth_in_base", "depth_in_tcp", "depth_in_color"):
+            assert np.array_equal(getattr(one, name), getattr(other, name)) or getattr(other, name) is None
+            assert (getattr(one, name) is None) == (getattr(other, name) is None)
+        assert np.array_equal(one.depth.matrix, IMAGER.matrix)
+        assert np.array_equal(one.depth.distortion, IMAGER.distortion)
+        assert (one.depth.width, one.depth.height) == (640, 480)
+    assert found["wrist"].color is None
+    assert json.loads(path.read_text())["cameras"]["front"]["found"]["rms_px"] == 0.21
+    save_calibration(path, "front", WRIST)
+    assert read_calibrations(path)["front"].camera == "wrist one"
+    assert json.loads(path.read_text())["cameras"]["wrist"]["found"] == {}
+
+
+TEXT = json.dumps(
+    {
+        "version": 1,
+        "cameras": {
+            "front": {
+                "camera": "1",
+                "depth": {"matrix": IMAGER.matrix.tolist(), "distortion": [], "width": 640, "height": 480},
+                "depth_in_base": POSE.tolist(),
+                "depth_in_tcp": None,
+                "color": None,
+                "depth_in_color": None,
+                "found": {},
+            }
+        },
+    }
+)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"depth_in_base": (2 * np.eye(4)).tolist()}, "no pose"),
+        ({"depth_in_base": np.diag([1.0, 1, -1, 1]).tolist()}, "no pose"),
+        ({"depth_in_base": np.eye(3).tolist()}, "a list of 4"),
+        ({"depth_in_base": None}, "neither"),
+        ({"depth_in_tcp": np.eye(4).tolist()}, "in the base's frame and on the tool"),
+        ({"surprise": 1}, "unknown field"),
+        ({"camera": "a\nb"}, "serial number"),
+        ({"found": {"a": [1]}}, "text"),
+        ({"depth": {"matrix": np.eye(3).tolist(), "distortion": [0.1], "width": 640, "height": 480}}, "coefficients"),
+    ],
+)
+def test_a_file_that_is_none_is_named_and_left_alone(tmp_path: Path, change: dict[str, Any], named: str) -> None:
+    path = tmp_path / "lab.cameras.json"
+    told = json.loads(TEXT)
+    path.write_text(json.dumps(told))
+    assert read_calibrations(path)["front"].camera == "1"
+    told["cameras"]["front"].update(change)
+    path.write_text(json.dumps(told))
+    before = path.read_bytes()
+    with pytest.raises(ConfigurationError, match=named) as caught:
+        read_calibrations(path)
+    assert "lab.cameras.json" in str(caught.value)
+    with pytest.raises(ConfigurationError):
+        save_calibration(path, "wrist", WRIST)
+    assert path.read_bytes() == before
+
+
+def test_other_versions_and_missing_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="adamanip calibrate"):
+        read_calibrations(tmp_path / "none.json")
+    (tmp_path / "two.json").write_text(TEXT.replace('"version": 1', '"version": 2'))
+    with pytest.raises(ConfigurationError, match="version is 2"):
+        read_calibrations(tmp_path / "two.json")
+
+
+def test_what_could_not_be_read_is_not_written(tmp_path: Path) -> None:
+    path = tmp_path / "lab.cameras.json"
+    with pytest.raises(ConfigurationError, match="no pose"):
+        save_calibration(path, "front", CameraCalibration("1", IMAGER, 2 * np.eye(4)))
+    with pytest.raises(ConfigurationError, match="a camera's key"):
+        save_calibration(path, "no key", FRONT)
+    assert not path.exists()

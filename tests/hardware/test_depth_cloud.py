@@ -1,17 +1,24 @@
+"""Clouds from depth: geometry, edges, and agreement with the simulator's own cloud."""
+
 from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from lerobot_adamanip.contract.observation import RepeatedPointsWarning
+from lerobot_adamanip.contract.observation import RepeatedPointsWarning, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, simulated_calibration
 from lerobot_adamanip.hardware.depth_cloud import JUMP, NOTHING_SEEN, depth_cloud, points_in_base
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_env_adamanip.simulator import make_task
 
 WIDTH, HEIGHT, FOCAL = 80, 60, 70.0
 EVERYWHERE = Workspace((-9, -9, -9), (9, 9, 9))
@@ -140,3 +147,70 @@ def test_a_camera_on_the_hand_moves_with_the_tool() -> None:
 def test_a_picture_of_another_size_is_refused() -> None:
     with pytest.raises(ConfigurationError, match="40 x 30"):
         depth_cloud(np.zeros((30, 40), np.uint16), calibration(), 64, EVERYWHERE)
+
+
+POINTS, MEDIAN_MM, P99_MM = 1024, 1.0, 5.0
+
+
+@pytest.fixture(scope="module")
+def task() -> Any:
+    task = make_task("microwave", cloud_source="raycast")
+    task.reset(seed=501)
+    yield task
+    task.close()
+
+
+def _camera(task: Any) -> Any:
+    from lerobot_env_adamanip.sim.camera import pinhole
+
+    return pinhole(task.views.camera(task.views.depth_size, "front"))
+
+
+def _calibration(task: Any) -> CameraCalibration:
+    from lerobot_env_adamanip.sim.camera import camera_parameters
+
+    return simulated_calibration(camera_parameters(_camera(task)))
+
+
+def _distances(task: Any, calibration: CameraCalibration) -> list[Any]:
+    """Returns the distances [mm] from the cloud of depth to the simulator's, and from that to the depth's points."""
+    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
+
+    views = task.views
+    sensor = RaycastSensor(views.camera(views.depth_size, "front"), views.bodies(), views.workspace)
+    pixels, points = sensor.pixels()
+    depth = np.zeros(views.depth_size**2, np.uint16)
+    depth[pixels] = -points[:, 2]
+    depth, dense = depth.reshape(views.depth_size, views.depth_size), views.points()
+    cloud = depth_cloud(depth, calibration, POINTS, views.workspace)
+    own = workspace_cloud(dense, views.workspace, POINTS)
+    pairs = ((dense, cloud), (points_in_base(depth, calibration), own))
+    return [1e3 * cKDTree(others).query(points)[0] for others, points in pairs]
+
+
+def _are_equal(distances: list[Any]) -> bool:
+    return all(np.median(each) <= MEDIAN_MM and np.percentile(each, 99) <= P99_MM for each in distances)
+
+
+@pytest.mark.sim
+def test_clouds_from_depth_are_the_simulators(task: Any) -> None:
+    assert _are_equal(_distances(task, _calibration(task)))
+
+
+@pytest.mark.sim
+def test_a_camera_that_is_two_millimetres_beside_is_noticed(task: Any) -> None:
+    known = _calibration(task)
+    assert known.depth_in_base is not None
+    moved = known.depth_in_base.copy()
+    moved[:3, 3] += 2e-3
+    assert not _are_equal(_distances(task, replace(known, depth_in_base=moved)))
+
+
+@pytest.mark.sim
+def test_half_a_pixel_is_counted_as_opencv_does(task: Any) -> None:
+    """A wall-to-wall offset that nearest neighbours hardly show: so by the ray of each pixel."""
+    size, matrix = task.views.depth_size, _calibration(task).depth.matrix
+    rays = _camera(task).rays().reshape(size, size, 3)
+    for row, column in ((0, 0), (17, 200), (size - 1, size // 2)):
+        ray = np.linalg.solve(matrix, [column, row, 1.0])
+        assert ray == pytest.approx(rays[row, column] * (1, -1, -1), abs=1e-6)  # OpenCV looks along z, y down

@@ -18,9 +18,9 @@ from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, r
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.backends.franky_sdk import wanted_limits
-from lerobot_adamanip.hardware.motion_outcome import pose_error
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.backends.franky_sdk import scaled_limits
+from lerobot_adamanip.hardware.safety import SafetyLimits
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 pytestmark = [pytest.mark.franky, pytest.mark.nightly, pytest.mark.timeout(1200)]
@@ -91,7 +91,7 @@ def test_connecting_moves_nothing_and_writes_our_limits(arm: SimulatedArm, make:
     arm.pass_time(2000)
     _, poses = arm.poses("p", connected)
     assert np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max() < 0.001
-    assert robot.session.details["limits"] == dict(wanted_limits(FrankyOptions(model="fr3", dynamics=0.05)))
+    assert robot.session.details["limits"] == scaled_limits(FrankyOptions(model="fr3", dynamics=0.05))
 
 
 def goals(start: np.ndarray, count: int) -> list[np.ndarray]:

@@ -15,7 +15,6 @@ import torch
 from lerobot.datasets.dataset_reader import DatasetReader
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.lerobot_patches import NO_PATCHES, batched_reading
 from lerobot_adamanip.util.arrow import numeric_array
@@ -120,13 +119,6 @@ def test_a_dataset_that_no_policy_has_marked_is_read_by_lerobot(root: Path) -> N
     assert CAMERA in items[0]
 
 
-def test_text_is_read_by_lerobot(tmp_path: Path) -> None:
-    dataset = _opened(_record(tmp_path / "text", FEATURES | NOTE))
-    batched_reading.read_in_batches(dataset.meta)
-    for item, index in zip(dataset.__getitems__([1, 4]), (1, 4), strict=True):
-        _assert_same(dataset[index], item)
-
-
 def test_an_item_can_be_written_to(root: Path) -> None:
     dataset = _opened(root)
     batched_reading.read_in_batches(dataset.meta)
@@ -143,13 +135,6 @@ def test_the_mark_brings_the_patch_into_a_new_process(root: Path) -> None:
     del LeRobotDataset.__getitems__
     received = pickle.loads(sent)
     assert CAMERA not in received.__getitems__([0])[0]
-
-
-def test_restoring_removes_this_patch_too(root: Path) -> None:
-    batched_reading.read_in_batches(_opened(root).meta)
-    assert "__getitems__" in vars(LeRobotDataset)
-    lerobot_patches.restore()
-    assert "__getitems__" not in vars(LeRobotDataset)
 
 
 def test_a_lerobot_that_reads_batches_itself_stays_as_it_is(root: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
-from lerobot_adamanip.hardware.calibration.file import save_calibration
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES, names_of
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 

@@ -20,8 +20,7 @@ from lerobot_adamanip.datasets.dataset import Dataset, camera_of, open_dataset
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
-from lerobot_adamanip.hardware.safety import accepted
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits, limits_from_json
+from lerobot_adamanip.hardware.safety import SafetyLimits, accepted, limits_from_json
 from lerobot_adamanip.lerobot_patches.durable_recording import _keep_robot
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.recordings.keyframe_choice import choose_key_frames

@@ -16,8 +16,7 @@ from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
-from lerobot_adamanip.hardware.arm_process.messages import ArmStatus, ServerOptions
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmStatus, Execution, ServerOptions
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, ROBOTS

@@ -10,8 +10,7 @@ import pytest
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
 from lerobot_env_adamanip.twin.played_motion import PATIENCE, PlayedMotion
 
 DT = 1 / 30

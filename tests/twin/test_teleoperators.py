@@ -17,8 +17,7 @@ from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
-from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.teleoperators.config_devices import (
     AdamanipGamepadConfig,
     AdamanipKeyboardConfig,

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget
+from lerobot_adamanip.hardware.arm import RESET, ArmMode, ArmReading, ArmTarget, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.messages import RESET, Served
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv

@@ -10,13 +10,12 @@ from typing import Any
 
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
-from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.arm import RESET, ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import RESET
 from lerobot_adamanip.hardware.camera_frames import simulated_calibration
 from lerobot_adamanip.hardware.closing import close_all
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, SUCCESS
-from lerobot_adamanip.hardware.safety_limits import SafetyLimits
+from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.util import files
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, TwinOptions, frame_capacity

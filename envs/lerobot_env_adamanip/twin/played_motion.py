@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Feedback, Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, straight_path
 from lerobot_adamanip.hardware.arm import ArmReading
-from lerobot_adamanip.hardware.motion_outcome import pose_error
-from lerobot_adamanip.hardware.target_geometry import Target
+from lerobot_adamanip.hardware.target_geometry import Target, pose_error
 
 Array = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.hardware.arm_process.encoding import message
+from lerobot_adamanip.hardware.arm_process.mailbox import message
 from lerobot_adamanip.objects.base import Motion, PartAnnotation
 
 TWIN = "lerobot_env_adamanip.sim.twin:serve_twin"

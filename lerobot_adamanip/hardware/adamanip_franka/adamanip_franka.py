@@ -5,31 +5,32 @@ from __future__ import annotations
 import logging
 import shlex
 import time
+from collections.abc import Mapping
 from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 from lerobot.cameras.camera import Camera
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 
+from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import check_caller
-from lerobot_adamanip.hardware.adamanip_franka.motion import MotionDriver, action_vector
 from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, check_cameras, pictures, scalars
-from lerobot_adamanip.hardware.arm import ArmReading, Execution
+from lerobot_adamanip.hardware.arm import ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.arm_process.messages import ServerOptions
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.calibration.file import read_calibrations
+from lerobot_adamanip.hardware.camera_frames import read_calibrations
 from lerobot_adamanip.hardware.closing import close_all, closing_on_error
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, ROBOTS, SUCCESS, RobotSession
-from lerobot_adamanip.hardware.safety import SafetyFilter
-from lerobot_adamanip.hardware.safety_limits import Corner, SafetyLimits
+from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
@@ -41,6 +42,84 @@ class SlowLoopFilter(logging.Filter):
     def filter(self, record: logging.LogRecord) -> bool:
         """Returns whether to write a log record."""
         return not str(record.msg).startswith(("Record loop is running slower", "Control loop is running slower"))
+
+
+class MotionDriver:
+    """Executes actions as key frames or as a stream on one connected arm, and updates its session.
+
+    Args:
+        arm: connected client.
+        session: stores every reading and sent target.
+        safety: filter of this arm only.
+        execution: mode of all actions.
+        motion_time: maximum duration of a key frame [s].
+
+    Attributes:
+        rested_at: end of the latest key frame, `time.perf_counter()` [s]; None during streaming.
+    """
+
+    def __init__(
+        self, arm: ArmClient, session: RobotSession, safety: SafetyFilter, execution: Execution, motion_time: float
+    ) -> None:
+        self._arm, self._session, self._filter = arm, session, safety
+        self._execution, self._motion_time = execution, motion_time
+        self.rested_at: float | None = None
+        self._sent_at: float | None = None
+        self._last_request: bytes | None = None
+
+    def read(self) -> ArmReading:
+        """Returns the reading of a healthy arm. Raises `RobotError` for a fault."""
+        reading = self._arm.healthy().reading
+        assert reading is not None
+        self._session.reading = reading
+        return reading
+
+    def anchor(self) -> None:
+        """Sets the last sent target to the measured pose.
+
+        Raises:
+            RobotError: the arm has a fault, or the hand is outside the box.
+        """
+        reading = self.read()
+        self._session.sent = self._filter.anchor(reading.tcp_in_base, reading.gripper)
+        self._sent_at = self.rested_at = self._last_request = None
+
+    def recover(self) -> None:
+        """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
+        self._arm.request("recover")
+        self.anchor()
+
+    def send(self, target: Target, reading: ArmReading) -> Target:
+        """Filters and sends a target (10,), and returns the filtered target. Waits for the end of a key frame.
+
+        Raises:
+            RobotError: the arm has a fault, ten targets in a row were malformed, or a key frame does not end.
+        """
+        send = self._send_keyframe if self._execution is Execution.KEYFRAME else self._send_stream
+        self._session.sent = send(target, reading)
+        return self._session.sent
+
+    def _send_keyframe(self, target: Target, reading: ArmReading) -> Target:
+        """Executes one motion to its end. Skips a repeated goal: a paused rollout resends its last action."""
+        last = self._filter.last
+        if self._last_request == target.tobytes() and last is not None:
+            return last
+        for sent in self._filter.keyframe(target, reading.tcp_in_base):
+            self._session.sent = sent
+            end = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._motion_time)
+            self._session.reading, self._last_request = end.reading, target.tobytes()
+            self.rested_at = time.perf_counter()
+            if end.reading is None or end.reading.outcome is not Outcome.REACHED:
+                break  # from here the rest of the path may leave the box
+        return sent
+
+    def _send_stream(self, target: Target, reading: ArmReading) -> Target:
+        now = time.perf_counter()
+        dt = 0.0 if self._sent_at is None else self._session.details.get(LOCKSTEP_DT, now - self._sent_at)
+        sent = self._filter.stream(target, reading.tcp_in_base, dt)
+        self._arm.send(sent, Execution.STREAM)
+        self._sent_at, self.rested_at, self._last_request = now, None, None
+        return sent
 
 
 class AdamanipFranka(Robot):
@@ -61,8 +140,6 @@ class AdamanipFranka(Robot):
         self._slow_loop = SlowLoopFilter()
         self._connected_at = 0.0
 
-    # Properties -------------------------------------------------------------------------------------------------------
-
     @cached_property
     def observation_features(self) -> dict[str, Any]:
         """Scalars (`features.SCALAR_NAMES`) and camera images."""
@@ -74,20 +151,22 @@ class AdamanipFranka(Robot):
         return dict.fromkeys(POSE_NAMES, float)
 
     @property
+    def session(self) -> RobotSession:
+        """Shared state for teleoperators and policies in this process."""
+        return self._session
+
+    # Calibration ------------------------------------------------------------------------------------------------------
+
+    @property
     def calibration_file(self) -> Path:
         """Path of the camera calibration. Not ``<id>.json``: LeRobot would parse that as motor calibration and fail."""
         return Path(self.calibration_dir) / f"{self.id}.cameras.json"
 
     @property
-    def session(self) -> RobotSession:
-        """Shared state for teleoperators and policies in this process."""
-        return self._session
-
-    @property
     def is_calibrated(self) -> bool:
         """Whether the calibration file contains every depth camera."""
-        deep = {key for key, camera in self.cameras.items() if getattr(camera, "use_depth", False)}
-        return not deep or (self.calibration_file.is_file() and deep <= set(read_calibrations(self.calibration_file)))
+        keys = {key for key, camera in self.cameras.items() if getattr(camera, "use_depth", False)}
+        return not keys or (self.calibration_file.is_file() and keys <= set(read_calibrations(self.calibration_file)))
 
     def calibrate(self) -> None:
         """Reloads the camera calibration. Raises `RobotError` if it is incomplete."""
@@ -99,6 +178,10 @@ class AdamanipFranka(Robot):
                 hint=f"adamanip calibrate views --record robot.json --out {shlex.quote(str(self.calibration_file))}",
             )
         self._read_calibrations()
+
+    def _read_calibrations(self) -> None:
+        if self.calibration_file.is_file():
+            self._session.calibrations.update(read_calibrations(self.calibration_file))
 
     def configure(self) -> None:
         """Does nothing: the arm process configures the arm when it connects."""
@@ -125,8 +208,8 @@ class AdamanipFranka(Robot):
         limits = self._safety_limits()
         self._client = self._make_client()
         with closing_on_error(self.disconnect):
-            details = self._client.connect()
-            self._open_session(limits, details)
+            description = self._client.connect()
+            self._open_session(limits, description)
             for camera in self.cameras.values():
                 camera.connect()
 
@@ -158,18 +241,19 @@ class AdamanipFranka(Robot):
                 hint="--robot.box_lower='[0.3, -0.4, 0.0]' --robot.box_upper='[0.8, 0.4, 0.7]', see docs/robot.md",
             )
         lower, upper = (tuple(map(float, corner)) for corner in (config.box_lower, config.box_upper))
-        rest = {name: getattr(config, name) for name in ("speed", "angular_speed", "lead", "angular_lead")}
+        rest = {name: getattr(config, name) for name in ("speed", "angular_speed", "lead")}
         return SafetyLimits(cast("Corner", lower), cast("Corner", upper), **rest)
 
     def _make_client(self) -> ArmClient:
         """Returns the arm process, not yet started. Raises `ConfigurationError`. A twin overrides it."""
-        options = FrankyOptions(**{each.name: getattr(self.config, each.name) for each in fields(FrankyOptions)})
+        config = self.config
+        options = FrankyOptions(**{field.name: getattr(config, field.name) for field in fields(FrankyOptions)})
         options.check()
-        if (force := self.config.lead * self.config.stiffness) >= self.config.collision_force:
+        if (force := config.lead * config.stiffness) >= config.collision_force:
             raise ConfigurationError(
                 "A teleoperated pull would trigger the arm's reflex.",
-                got=f"lead {self.config.lead:g} m x stiffness {self.config.stiffness:g} N/m = {force:g} N",
-                allowed=f"below collision_force ({self.config.collision_force:g} N)",
+                got=f"lead {config.lead:g} m x stiffness {config.stiffness:g} N/m = {force:g} N",
+                allowed=f"below collision_force ({config.collision_force:g} N)",
                 hint="a smaller --robot.lead or --robot.stiffness",
             )
         return ArmClient(FRANKY, options, server=self._server_options())
@@ -185,9 +269,9 @@ class AdamanipFranka(Robot):
         If cameras fail, the first error is raised after all of them were stopped.
         """
         client, self._client, self._driver = self._client, None, None
-        if client is None:
-            return
-        close_all([client.close, self._close_session, *(partial(_stop, camera) for camera in self.cameras.values())])
+        if client is not None:
+            cameras = (partial(_stop, camera) for camera in self.cameras.values())
+            close_all([client.close, self._close_session, *cameras])
 
     def _close_session(self) -> None:
         for handler in logging.getLogger().handlers:
@@ -204,9 +288,7 @@ class AdamanipFranka(Robot):
             raise RobotError(f"{self} is not connected.")
         return self._driver
 
-    def _read_calibrations(self) -> None:
-        if self.calibration_file.is_file():
-            self._session.calibrations.update(read_calibrations(self.calibration_file))
+    # Observation and action -------------------------------------------------------------------------------------------
 
     def get_observation(self) -> dict[str, Any]:
         """Returns state and images. After a key frame, the images were exposed after the arm came to rest.
@@ -215,10 +297,10 @@ class AdamanipFranka(Robot):
             RobotError: the arm has a fault, or its process or a camera does not answer.
         """
         reading = self._motion.read()
-        seen: dict[str, Any] = dict(self._scalars(reading))
+        observation: dict[str, Any] = dict(self._scalars(reading))
         for key, camera in self.cameras.items():
-            seen |= pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
-        return seen
+            observation |= pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
+        return observation
 
     def _scalars(self, reading: ArmReading) -> dict[str, float]:
         details = self._session.details
@@ -233,14 +315,23 @@ class AdamanipFranka(Robot):
             RobotError: the arm has a fault, ten actions in a row were malformed, or a key frame does not end.
             ConfigurationError: the action lacks a name.
         """
-        wanted = action_vector(action)
-        reading = self._motion.read()
-        sent = self._motion.send(wanted, reading)
+        target = action_vector(action)
+        sent = self._motion.send(target, self._motion.read())
         return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
 
     def recover(self) -> None:
         """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
         self._motion.recover()
+
+
+def action_vector(action: Mapping[str, Any]) -> Target:
+    """Returns LeRobot's action as (10,) float32. Raises `ConfigurationError` if a name is missing."""
+    if missing := [name for name in POSE_NAMES if name not in action]:
+        raise ConfigurationError(
+            "An action lacks names.", got=f"no {', '.join(missing)}", allowed=", ".join(POSE_NAMES)
+        )
+    with np.errstate(over="ignore"):
+        return np.array([float(action[name]) for name in POSE_NAMES], dtype=np.float32)
 
 
 def _stop(camera: Camera) -> None:

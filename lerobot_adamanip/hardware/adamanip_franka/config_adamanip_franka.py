@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.limits import MODELS
+from lerobot_adamanip.hardware.backends.franky_options import MODELS, FrankyOptions
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
 EXECUTIONS = ("keyframe", "stream")
@@ -41,9 +40,6 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
 
     lead: float = 0.04
     """Maximum distance from the measured pose to a streamed target [m]. The pulling force is this times stiffness."""
-
-    angular_lead: float = 0.15
-    """Maximum angle from the measured pose to a streamed target [rad]."""
 
     state_age: float = 0.2
     """Maximum age of the arm's state [s]. An older state stops the arm and raises an error. From 1 s up, the error may

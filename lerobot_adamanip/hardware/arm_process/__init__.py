@@ -1,4 +1,4 @@
-"""The arm process: `client` starts it; `__main__` and `server` run in it.
+"""The arm process: `client` starts `server`, and `mailbox` connects them.
 
 A renderer, an encoder or a hung recorder cannot delay a tick of the arm. A killed recorder causes a controlled stop.
 """

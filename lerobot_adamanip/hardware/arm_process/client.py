@@ -17,35 +17,34 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip import NO_PLUGIN
-from lerobot_adamanip.hardware.arm import ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, create_memory, map_mailboxes
-from lerobot_adamanip.hardware.arm_process.messages import (
+from lerobot_adamanip.hardware.arm import (
     COMMAND,
     STATUS,
     ArmStatus,
+    ArmTarget,
+    Execution,
     Reply,
     Request,
     ServerOptions,
     Start,
 )
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, create_memory, decode, encode, map_mailboxes
 from lerobot_adamanip.util.errors import RobotError
 
-PROGRAM = "lerobot_adamanip.hardware.arm_process"
+PROGRAM = "lerobot_adamanip.hardware.arm_process.server"
 COMMAND_BYTES, STATUS_BYTES = 1024, 16384
-POLL = 0.002
-"""Time between two checks of a running key frame [s]."""
-CLOSE_TIME = 1.8
-"""Time for the process to stop the arm and exit [s]. Then it is killed, so that closing takes under 2 s."""
-LOCKSTEP_TIME = 600.0
-"""Longest step of a twin [s]."""
+POLL_S = 0.002
+CLOSE_S = 1.8
+"""Time for the process to stop the arm and exit. Then it is killed, so that closing takes under 2 s."""
+LOCKSTEP_S = 600.0
+"""Longest step of a twin."""
 
 
 class ArmClient:
     """One arm process, from `connect` to `close`. Use targets and states in one thread, frames in any.
 
     Args:
-        factory: ``module:function`` of the backend, see `messages.BackendFactory`. A constant in the calling program.
+        factory: ``module:function`` of the backend, see `arm.BackendFactory`. A constant in the calling program.
         options: backend options, a registered `message`.
         server: watchdog settings of the process.
         frames: name -> size of further mailboxes that the backend fills [bytes].
@@ -64,18 +63,11 @@ class ArmClient:
         self.server = server or ServerOptions()
         capacities = {COMMAND: COMMAND_BYTES, STATUS: STATUS_BYTES, **(frames or {})}
         self._factory, self._connect_time = factory, connect_time
-        self._first = Start(options, self.server, capacities)
+        self._start_message = Start(options, self.server, capacities)
         self._process: subprocess.Popen[bytes] | None = None
         self._connection: Connection | None = None
         self._boxes: dict[str, Mailbox] = {}
-        self._lock, self._asked = threading.RLock(), 0
-
-    def __enter__(self) -> ArmClient:
-        self.connect()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
+        self._lock, self._requests = threading.RLock(), 0
 
     @property
     def is_connected(self) -> bool:
@@ -92,21 +84,15 @@ class ArmClient:
             raise RobotError("The arm's process was started already.")
         try:
             self._start()
-            details = self._receive(0, self._connect_time, "connect")
-            until = time.perf_counter() + self._connect_time
-            while self._box(STATUS).number == 0:
-                if time.perf_counter() > until or not self.is_connected:
-                    raise RobotError(self._last_words("published no state"))
-                time.sleep(POLL)
+            return self._receive(0, self._connect_time, "connect")
         except BaseException:
             self.close()
             raise
-        return details
 
     def _start(self) -> None:
         ours, theirs = socket.socketpair()
-        memory = create_memory(self._first.capacities)
-        self._boxes = map_mailboxes(memory, self._first.capacities)
+        memory = create_memory(self._start_message.capacities)
+        self._boxes = map_mailboxes(memory, self._start_message.capacities)
         try:
             # A separate session: Ctrl-C in the recorder's terminal must reach the recorder before the arm process.
             self._process = subprocess.Popen(
@@ -122,19 +108,19 @@ class ArmClient:
             os.close(memory)
         self._connection = Connection(ours.detach())
         with contextlib.suppress(OSError):  # a process that has already ended is reported by its exit status
-            self._connection.send_bytes(encode(self._first))
+            self._connection.send_bytes(encode(self._start_message))
 
     def close(self) -> None:
-        """Stops the arm and ends the process; kills it after `CLOSE_TIME`. Idempotent; never raises."""
+        """Stops the arm and ends the process; kills it after `CLOSE_S`. Idempotent; never raises."""
         process, connection = self._process, self._connection
         if connection is not None:
             with contextlib.suppress(OSError):  # without the lock, since another thread may wait for an answer
-                self._write(Request(0, "shutdown"))
+                self._send(Request(0, "shutdown"))
             with contextlib.suppress(OSError):
                 connection.close()  # sends end of file to a process that reads no messages
         if process is not None:
             try:
-                process.wait(CLOSE_TIME)
+                process.wait(CLOSE_S)
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
@@ -148,10 +134,10 @@ class ArmClient:
         Raises:
             RobotError: the process has ended, or published no status for `ServerOptions.state_age` seconds.
         """
-        found = self._box(STATUS).read()
-        if not self.is_connected or found is None:
+        newest = self._box(STATUS).read()
+        if not self.is_connected or newest is None:
             raise RobotError(self._last_words("has ended"))
-        status: ArmStatus = found[1]
+        status: ArmStatus = newest[1]
         age = time.perf_counter() - status.beat
         if self.server.lockstep_fps is None and age > self.server.state_age:
             raise RobotError(
@@ -192,7 +178,7 @@ class ArmClient:
         self.healthy()
         number = self._box(COMMAND).write(ArmTarget(pose, execution, time.perf_counter()))
         if self.server.lockstep_fps is not None:
-            self.request("step", time_limit=LOCKSTEP_TIME)
+            self.request("step", time_limit=LOCKSTEP_S)
         return number
 
     def wait(self, number: int, time_limit: float) -> ArmStatus:
@@ -206,7 +192,7 @@ class ArmClient:
             status = self.healthy()
             if status.accepted >= number and status.reading is not None and status.reading.outcome is not None:
                 return status
-            time.sleep(POLL)
+            time.sleep(POLL_S)
         self.post("stop")
         raise RobotError("A key frame does not end.", got=f"{time_limit:g} s", allowed="the backend's own time limit")
 
@@ -219,19 +205,19 @@ class ArmClient:
             RobotError: the process refuses, has ended, or does not answer within ``time_limit`` [s].
         """
         with self._lock:
-            self._asked += 1
+            self._requests += 1
             try:
-                self._write(Request(self._asked, ask, dict(values or {})))
+                self._send(Request(self._requests, ask, dict(values or {})))
             except OSError as error:
                 raise RobotError(self._last_words(f"cannot be asked for {ask!r} ({error})")) from None
-            return self._receive(self._asked, time_limit, ask)
+            return self._receive(self._requests, time_limit, ask)
 
     def post(self, ask: str, values: Mapping[str, Any] | None = None) -> None:
         """Sends a request without waiting for an answer. Does nothing if the process has ended."""
         with self._lock, contextlib.suppress(OSError):
-            self._write(Request(0, ask, dict(values or {})))
+            self._send(Request(0, ask, dict(values or {})))
 
-    def _write(self, request: Request) -> None:
+    def _send(self, request: Request) -> None:
         if self._connection is None:
             raise OSError("not connected")
         self._connection.send_bytes(encode(request))
@@ -260,13 +246,13 @@ class ArmClient:
 
         If another thread waits for an answer, that thread reads and reports the error.
         """
-        told = ""
+        reason = ""
         if self._lock.acquire(blocking=False):
             try:
                 with contextlib.suppress(OSError, EOFError):
                     while self._connection is not None and self._connection.poll(0):
-                        told = decode(self._connection.recv_bytes(), Reply).error or told
+                        reason = decode(self._connection.recv_bytes(), Reply).error or reason
             finally:
                 self._lock.release()
         code = None if self._process is None else self._process.poll()
-        return f"The arm's process {what}{'' if code is None else f' (exit status {code})'}. {told}".strip()
+        return f"The arm's process {what}{'' if code is None else f' (exit status {code})'}. {reason}".strip()

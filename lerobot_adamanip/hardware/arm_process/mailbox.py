@@ -1,7 +1,18 @@
-"""Latest-value mailboxes in shared memory: one writer, any number of readers, no locks."""
+"""Messages between recorder and arm process: their bytes, and latest-value mailboxes in shared memory.
+
+The bytes are JSON, a zero byte, then the raw bytes of all arrays. In the JSON, ``{"@": NAME, ...}`` is an array, a
+tuple, or a registered dataclass or enumeration. The rest is plain.
+
+No library of our dependencies does this. pyzmq has CONFLATE sockets for latest values, but only extras of LeRobot
+install it. Pipes keep old values and block a writer whose reader hangs.
+"""
 
 from __future__ import annotations
 
+import dataclasses
+import enum
+import json
+import math
 import mmap
 import os
 import zlib
@@ -10,17 +21,87 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
 from lerobot_adamanip.util.errors import RobotError
 
+TAG = "@"
 HEADER_BYTES = 56
 """Header of seven words: the published number, then number, length and checksum of each slot."""
-TRIES = 1000
+MAX_READS = 1000
 """Maximum read attempts. The writer overtakes a reader only a few times; more failures mean corrupt memory."""
+_registered: dict[str, type] = {}
+
+
+def message[Kind](kind: type[Kind]) -> type[Kind]:
+    """Registers a dataclass or enumeration by its name. Both processes must import its module."""
+    _registered[kind.__name__] = kind
+    return kind
+
+
+def encode(value: object) -> bytes:
+    """Returns the bytes of a value. Raises TypeError for an unregistered class or a key that is not a string."""
+    arrays: list[bytes] = []
+    return json.dumps(_plain(value, arrays), separators=(",", ":")).encode() + b"\0" + b"".join(arrays)
+
+
+def _plain(value: Any, arrays: list[bytes]) -> Any:
+    kind = type(value)
+    if value is None or kind in (bool, int, float, str):
+        return value
+    if isinstance(value, np.ndarray):
+        arrays.append(value.tobytes())
+        return {TAG: "array", "dtype": value.dtype.str, "shape": value.shape}
+    if isinstance(value, np.generic):
+        return value.item()
+    if kind is list:
+        return [_plain(item, arrays) for item in value]
+    if kind is tuple:
+        return {TAG: "tuple", "items": [_plain(item, arrays) for item in value]}
+    if isinstance(value, Mapping):
+        if TAG in value or not all(isinstance(key, str) for key in value):
+            raise TypeError(f"keys {list(value)} cannot be sent: keys must be strings other than {TAG!r}")
+        return {key: _plain(item, arrays) for key, item in value.items()}
+    if _registered.get(kind.__name__) is not kind:
+        raise TypeError(f"{kind.__name__} cannot be sent: it is not registered by `message`")
+    if isinstance(value, enum.Enum):
+        return {TAG: kind.__name__, "value": value.value}
+    fields = {field.name: _plain(getattr(value, field.name), arrays) for field in dataclasses.fields(value)}
+    return {TAG: kind.__name__, **fields}
+
+
+def decode[Value](data: bytes, kind: type[Value]) -> Value:
+    """Returns the value passed to `encode`. Numbers and arrays keep their bits and types.
+
+    Raises:
+        RobotError: the bytes are truncated, or have an unknown class, another class or wrong fields.
+    """
+    head, zero, body = data.partition(b"\0")
+    offset = 0
+
+    def restore(item: dict[str, Any]) -> Any:
+        nonlocal offset
+        name = item.pop(TAG, None)
+        if name is None:
+            return item
+        if name == "tuple":
+            return tuple(item["items"])
+        if name != "array":
+            return _registered[name](**item)
+        array = np.frombuffer(body, item["dtype"], math.prod(item["shape"]), offset)
+        offset += array.nbytes
+        return array.reshape(item["shape"]).copy()
+
+    try:
+        value = json.loads(head, object_hook=restore)
+        if not zero or offset != len(body) or not isinstance(value, kind):
+            raise ValueError(f"{type(value).__name__}, {len(body) - offset} bytes left over")
+    except (ValueError, TypeError, KeyError) as error:
+        got = f"{type(error).__name__}: {error}"
+        raise RobotError("A message of the arm's process cannot be read.", got=got, allowed=kind.__name__) from None
+    return value
 
 
 class Mailbox:
-    """Mailbox with the newest value of one writer.
+    """Mailbox with the newest value of one writer, for any number of readers, without locks.
 
     There are two slots. The writer fills the unpublished slot, then publishes it. So a reader always finds a complete
     value, even if the writer is killed during the next write. The checksum detects a slot that was overwritten
@@ -61,7 +142,7 @@ class Mailbox:
 
     def read(self) -> tuple[int, Any] | None:
         """Returns (number, newest value); None before the first. Raises `RobotError` for corrupt memory."""
-        for _ in range(TRIES):
+        for _ in range(MAX_READS):
             number = self.number
             if number == 0:
                 return None

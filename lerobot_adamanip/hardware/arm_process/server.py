@@ -1,7 +1,8 @@
-"""Loop of the arm process: receives targets, publishes states, stops the arm if the arm or the recorder fails.
+"""The arm process: receives targets, publishes states, stops the arm if the arm or the recorder fails.
 
-The loop has one thread. Each tick, every `ArmBackend.period` seconds: answer requests; pass a new target to a healthy
-arm; call `ArmBackend.tick` and `ArmBackend.read`; check the watchdogs; publish the status.
+`ArmClient` runs ``python -m`` this module with SOCKET MEMORY FACTORY. The loop has one thread. Each tick, every
+`ArmBackend.period` seconds: answer requests; pass a new target to a healthy arm; call `ArmBackend.tick` and
+`ArmBackend.read`; check the watchdogs; publish the status.
 
 In lockstep only ``step`` requests advance time. Each takes the newest target. A streamed target ticks for 1/fps
 seconds; the remainder is carried over, so 30 Hz on 50 Hz ticks stays exact. A key frame ticks until its outcome.
@@ -14,37 +15,61 @@ and exits.
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import os
+import pkgutil
 import signal
+import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from multiprocessing.connection import Connection
 from typing import Any
 
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmTarget, Execution
-from lerobot_adamanip.hardware.arm_process.encoding import decode, encode
-from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.messages import (
+import numpy as np
+
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.schema import ACTION_DIM, GRIPPER_DIM, ROTATION_DIMS
+from lerobot_adamanip.hardware.arm import (
     COMMAND,
-    MAX_TEXT,
     RESET,
     STATUS,
+    ArmMode,
+    ArmReading,
     ArmStatus,
+    ArmTarget,
+    Array,
+    BackendFactory,
+    Execution,
     Handler,
     Reply,
     Request,
     Served,
     ServerOptions,
+    Start,
 )
-from lerobot_adamanip.hardware.arm_process.watch import malformed, trouble
+from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox, decode, encode, map_mailboxes
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
-REST_SPEED = 0.005
-"""Maximum joint speed of an arm at rest [rad/s]."""
-REST_WAIT = 2.0
-"""Maximum wait for rest [s]."""
-KEYFRAME_LIMIT = 120.0
-"""Maximum duration of a key frame in lockstep [s of the backend]; the backend's own limit is shorter."""
+MAX_TEXT = 2000
+"""Maximum length of an error text [characters]."""
+REST_SPEED, REST_S = 0.005, 2.0
+"""Maximum joint speed of an arm at rest [rad/s], and maximum wait for rest."""
+KEYFRAME_S = 120.0
+"""Maximum duration of a key frame in lockstep, on the backend's clock; the backend's own limit is shorter."""
+ROTATION_ERROR = 1e-3
+"""Maximum orthonormality error of a target's rotation rows. The safety filter returns orthonormal rows."""
+MAX_LEADS = 2.0
+"""Allowed multiple of the filter's lead. It exceeds 1 because this process has a newer reading."""
+BOX_ROUNDING = 1e-6
+"""Tolerance [m] for float32 targets against the float64 box."""
+STOPPED_MODES = {
+    ArmMode.REFLEX: "The arm stopped itself (reflex)",
+    ArmMode.USER_STOPPED: "The arm's user stop is pressed",
+    ArmMode.GUIDING: "The arm is being guided by hand",
+}
+PR_SET_PDEATHSIG = 1
+"""Linux constant of `prctl(2)`."""
 
 
 class ArmServer:
@@ -56,7 +81,7 @@ class ArmServer:
         self._backend, self._connection, self._options = served.backend, connection, options
         self._lockstep = options.lockstep_fps is not None
         self._command, self._status = boxes[COMMAND], boxes[STATUS]
-        self._handlers = {name: self._observed(name, each) for name, each in served.handlers.items()}
+        self._handlers = {name: self._observed(name, handler) for name, handler in served.handlers.items()}
         self._handlers |= {"step": self._step, "stop": self._hold, "recover": self._recover, "shutdown": self._end}
         self._parent, self._ended = os.getppid(), False
         self._reading: ArmReading | None = None
@@ -66,12 +91,12 @@ class ArmServer:
         self._holding = self._lost = False
         self._fault: str | None = None
         self._backlog_s = 0.0
+        self._observe()
 
     def run(self) -> None:
         """Ticks until the recorder has ended, then stops the arm and waits for rest. Never raises `RobotError`."""
         signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder also gets it and ends this process cleanly
         signal.signal(signal.SIGTERM, self._end)
-        self._observe()
         due = time.perf_counter()
         while not self._ended:
             due += self._backend.period
@@ -119,16 +144,16 @@ class ArmServer:
     def _accept(self) -> None:
         """Passes a new target to the backend if the arm is healthy."""
         try:
-            found = self._command.read()
+            newest = self._command.read()
         except RobotError as error:  # a target that cannot be read
             self._fail(str(error))
             return
-        if found is None or found[0] == self._accepted:
+        if newest is None or newest[0] == self._accepted:
             self._stop_on_command_timeout()
             return
         if self._fault is not None or not self._try(self._read) or self._fault is not None:
             return
-        target: ArmTarget = found[1]
+        target: ArmTarget = newest[1]
         assert self._reading is not None
         if problem := malformed(target, self._options, self._reading.tcp_in_base):
             self._fail(problem)
@@ -136,7 +161,7 @@ class ArmServer:
         self._arrival, self._holding = time.perf_counter(), False
         begin = self._backend.begin_keyframe if target.execution is Execution.KEYFRAME else self._backend.stream
         if self._try(lambda: begin(target)):
-            self._accepted, self._target = found[0], target
+            self._accepted, self._target = newest[0], target
 
     def _stop_on_command_timeout(self) -> None:
         streamed = self._target is not None and self._target.execution is Execution.STREAM
@@ -160,9 +185,8 @@ class ArmServer:
             self._fail(problem)
 
     def _publish(self) -> None:
-        sent = None if self._target is None else self._target.pose
-        state = (self._accepted, sent, self._holding, self._fault, self._lost)
-        self._status.write(ArmStatus(time.perf_counter(), self._reading, *state))
+        state = (self._reading, self._accepted, self._holding, self._fault, self._lost)
+        self._status.write(ArmStatus(time.perf_counter(), *state))
 
     # Faults ----------------------------------------------------------------------------------------------------------
 
@@ -189,16 +213,16 @@ class ArmServer:
     def _observed(self, ask: str, handler: Handler) -> Handler:
         """Returns a handler that publishes the new state. In lockstep no tick would publish it before the next read."""
 
-        def answer(values: dict[str, Any]) -> dict[str, Any]:
+        def handle(values: dict[str, Any]) -> dict[str, Any]:
             began = time.perf_counter()
-            told = handler(values)
+            answer = handler(values)
             self._advanced += time.perf_counter() - began  # the arm could not move during this time
             if ask == RESET:
                 self._backlog_s = 0.0
             self._observe()
-            return told
+            return answer
 
-        return answer
+        return handle
 
     def _hold(self, _: dict[str, Any]) -> dict[str, Any]:
         self._holding = True
@@ -226,7 +250,7 @@ class ArmServer:
         self._accept()
         period = self._backend.period
         whole = self._target is not None and self._target.execution is Execution.KEYFRAME
-        self._backlog_s = KEYFRAME_LIMIT if whole else self._backlog_s + 1.0 / fps
+        self._backlog_s = KEYFRAME_S if whole else self._backlog_s + 1.0 / fps
         while self._backlog_s >= period * (1 - 1e-9) and self._fault is None:
             self._backlog_s -= period
             self._observe(tick=True)
@@ -239,7 +263,7 @@ class ArmServer:
         """Stops the arm and ticks until it rests."""
         with contextlib.suppress(RobotError):
             self._backend.stop()
-            until = time.perf_counter() + REST_WAIT
+            until = time.perf_counter() + REST_S
             while time.perf_counter() < until:
                 self._backend.tick()
                 reading = self._backend.read()
@@ -247,3 +271,108 @@ class ArmServer:
                     return
                 if not self._lockstep:
                     time.sleep(self._backend.period)
+
+
+# Checks ---------------------------------------------------------------------------------------------------------------
+
+
+def malformed(target: ArmTarget, options: ServerOptions, tcp_in_base: Array) -> str | None:
+    """Returns why a target is refused, given the measured pose (4, 4); None for a valid target.
+
+    The recorder's filter blocks such targets. This check detects a recorder without the filter.
+    """
+    pose = target.pose.astype(np.float64)
+    if pose.shape != (ACTION_DIM,) or not np.isfinite(pose).all():
+        return f"A target that is no pose reached the arm's process: {pose.tolist()}"
+    rows = pose[ROTATION_DIMS].reshape(2, 3)
+    if np.abs(rows @ rows.T - np.eye(2)).max() > ROTATION_ERROR:
+        return f"A target whose rotation is none reached the arm's process: {rows.ravel().tolist()}"
+    goal, _ = pose_from_vector(pose)
+    if options.limits is None:
+        return None
+    if not options.limits.contains(goal, BOX_ROUNDING):
+        return f"A target with the hand outside the box reached the arm's process: {pose[:GRIPPER_DIM].tolist()}"
+    if target.execution is Execution.STREAM:
+        ahead, turned = pose_error(tcp_in_base, goal)
+        if ahead > MAX_LEADS * options.limits.lead or turned > MAX_LEADS * options.limits.angular_lead:
+            return (
+                f"A target that jumps reached the arm's process: {ahead:.3f} m, {turned:.3f} rad from where the arm is"
+            )
+    return None
+
+
+def trouble(reading: ArmReading, stood_still: float, state_age: float) -> str | None:
+    """Returns why the arm must not move; None if it may. ``stood_still``: time since its clock last advanced [s]."""
+    if reading.mode in STOPPED_MODES or reading.errors:
+        what = STOPPED_MODES.get(reading.mode, "The arm reports errors")
+        return f"{what}: {', '.join(reading.errors) or 'no flag is set'}."
+    if stood_still > state_age:
+        return f"The arm's state is {stood_still:.2f} s old, more than {state_age:g} s: its connection stands still."
+    return None
+
+
+# Program --------------------------------------------------------------------------------------------------------------
+
+
+def main(socket: int, memory: int, factory_name: str) -> int:
+    """Runs the arm process to its end and returns its exit status.
+
+    Args:
+        socket: inherited descriptor of the socket.
+        memory: inherited descriptor of the shared memory.
+        factory_name: ``module:function`` of a `BackendFactory`. The module registers its options as a message.
+    """
+    connection = Connection(socket)
+    served = None
+    try:
+        factory: BackendFactory = pkgutil.resolve_name(factory_name)
+        start = decode(connection.recv_bytes(), Start)
+        boxes = map_mailboxes(memory, start.capacities)
+        served = factory(start.options, boxes)
+        with killed_with_parent():
+            served.backend.connect()
+    except Exception as error:
+        _reply(connection, Reply(0, _text_of(error)))
+        if served is not None:
+            served.backend.close()
+        return 1
+    try:
+        server = ArmServer(served, connection, boxes, start.server)
+        _reply(connection, Reply(0, None, served.describe()))
+        server.run()
+    except Exception as error:
+        _reply(connection, Reply(0, f"the arm's process failed: {_text_of(error)}"))
+        raise
+    finally:
+        served.backend.close()
+    return 0
+
+
+def _reply(connection: Connection, reply: Reply) -> None:
+    with contextlib.suppress(OSError):
+        connection.send_bytes(encode(reply))
+
+
+def _text_of(error: Exception) -> str:
+    return (str(error) if isinstance(error, AdaManipError) else f"{type(error).__name__}: {error}")[:MAX_TEXT]
+
+
+@contextlib.contextmanager
+def killed_with_parent() -> Iterator[None]:
+    """Makes the kernel kill this process if its parent dies within the context.
+
+    For driver calls that may hang before the arm moves: no other code checks the parent then.
+    """
+    parent, library = os.getppid(), ctypes.CDLL(None, use_errno=True)
+    if library.prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0) != 0:
+        raise OSError(ctypes.get_errno(), "prctl(PR_SET_PDEATHSIG)")
+    if os.getppid() != parent:  # the parent died before the request to the kernel
+        os.kill(os.getpid(), signal.SIGKILL)
+    try:
+        yield
+    finally:
+        library.prctl(PR_SET_PDEATHSIG, 0, 0, 0, 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]))

@@ -12,41 +12,91 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
-from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array
+from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.arm_process.messages import Served
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.backends.franky_options import ROTATIONAL_STIFFNESS, STALL_TORQUE, FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
-    FrankyHand,
     check_joints,
     check_tool_frame,
     connect_robot,
     flags_of,
     import_franky,
     reading_of,
+    scaled_limits,
     set_limits,
 )
-from lerobot_adamanip.hardware.gripper import GripperThread
-from lerobot_adamanip.hardware.motion_outcome import OutcomeWatch, pose_error
+from lerobot_adamanip.hardware.backends.gripper import FrankyHand, GripperThread
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
-GENTLE_FACTOR, GENTLE_TIME = 0.5, 10.0
-"""Fraction of the dynamics after a recovery, and its duration [s of the arm's clock]."""
-LEANS = 0.01
-"""Lag of an arm that presses on something [m]. The next key frame first releases it."""
-STAYS = 5e-4
+SETTLE_S, SETTLED_M, SETTLED_RAD, REST_SPEED = 0.5, 0.002, 0.01, 0.01
+"""Time for the arm to reach a target that no longer moves; errors and joint speed [rad/s] below which it ends early."""
+GENTLE_FACTOR, GENTLE_S = 0.5, 10.0
+"""Fraction of the dynamics after a recovery, and its duration on the arm's clock."""
+LEANING_M = 0.01
+"""Lag of an arm that presses on something. The next key frame first releases it."""
+NO_MOTION = 5e-4
 """Distance below which a goal needs no motion [m, rad]."""
-SAME = 5e-5
+SAME_TARGET = 5e-5
 """Distance below which streamed targets are equal [m, rad]."""
-RECOVERY_TIME = 0.5
-"""Maximum wait for a state without errors [s]."""
-STOP_TIME = 1.0
-"""Maximum wait for a stop when closing [s]."""
-KEYFRAME_TIME_LIMIT = 30.0
-"""Maximum duration of a key frame [s of the arm's clock]."""
+RECOVERY_S, STOP_S = 0.5, 1.0
+"""Maximum waits: for a state without errors, and for a stop when closing."""
+KEYFRAME_S = 30.0
+"""Maximum duration of a key frame on the arm's clock."""
+
+
+class OutcomeWatch:
+    """Determines the outcome of one key frame, tick by tick.
+
+    An arm with stiffness K lags F / K behind its target under a force F. So force and stiffness give the lag of a
+    stall.
+
+    Args:
+        goal_in_base: (4, 4) goal of the tool.
+        options: force and stiffness for the stall test.
+        began: start time on the arm's own clock [s].
+        time_limit: time limit of the motion [s].
+    """
+
+    def __init__(self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float) -> None:
+        self._goal = goal_in_base
+        self._stall_lag = options.stall_force / options.stiffness
+        self._stall_turn = STALL_TORQUE / ROTATIONAL_STIFFNESS
+        self._until, self._strained_ticks = began + time_limit, 0
+        self._arrived: float | None = None
+
+    def look(
+        self, tcp_in_base: Array, desired_in_base: Array, *, running: bool, speed: float, now: float
+    ) -> Outcome | None:
+        """Returns the outcome; None during the motion.
+
+        Args:
+            tcp_in_base: (4, 4) measured pose.
+            desired_in_base: (4, 4) current target of the controller.
+            running: whether that target still changes.
+            speed: speed of the fastest joint [rad/s].
+            now: time on the arm's own clock [s].
+        """
+        lag, turned = pose_error(tcp_in_base, desired_in_base)
+        is_strained = lag > self._stall_lag or turned > self._stall_turn
+        self._strained_ticks = self._strained_ticks + 1 if is_strained else 0
+        if self._strained_ticks >= DEFAULT_MOTION.stall_ticks:
+            return Outcome.STALLED
+        if now > self._until:
+            return Outcome.TIMEOUT
+        if running:
+            self._arrived = None
+            return None
+        self._arrived = now if self._arrived is None else self._arrived
+        distance, angle = pose_error(tcp_in_base, self._goal)
+        is_settled = distance < SETTLED_M and angle < SETTLED_RAD and speed < REST_SPEED
+        if not is_settled and now - self._arrived < SETTLE_S:
+            return None
+        is_reached = distance <= DEFAULT_MOTION.reached_position and angle <= DEFAULT_MOTION.reached_rotation
+        return Outcome.REACHED if is_reached else Outcome.STALLED
 
 
 class FrankyBackend:
@@ -79,11 +129,9 @@ class FrankyBackend:
             self._state = self._robot.state
             check_tool_frame(self._state)
             self.limits_read = set_limits(self._robot, self._options)
-            stiff, turn = self._options.stiffness, self._options.rotational_stiffness
-            self._robot.set_cartesian_impedance([stiff, stiff, stiff, turn, turn, turn])
+            self._robot.set_cartesian_impedance([self._options.stiffness] * 3 + [ROTATIONAL_STIFFNESS] * 3)
             if self._options.gripper:
-                speed, force = self._options.gripper_speed, self._options.grasp_force
-                self._hand = GripperThread(lambda: FrankyHand(self._options.address, speed, force))
+                self._hand = GripperThread(lambda: FrankyHand(self._options.address, self._options.grasp_force))
                 self._hand.start()
         except RobotError:
             raise
@@ -98,7 +146,7 @@ class FrankyBackend:
             with contextlib.suppress(Exception):
                 if robot.is_in_control:
                     robot.move(self._franky.CartesianStopMotion(), asynchronous=True)
-                    robot.join_motion(STOP_TIME)
+                    robot.join_motion(STOP_S)
         if self._hand is not None:
             self._hand.close()
 
@@ -117,29 +165,23 @@ class FrankyBackend:
         # Raises the error that ended a motion. In franky 2.0.0 its return value is inverted, so it is not used.
         self._ask(self._robot.poll_motion)
         running = bool(self._ask(lambda: self._robot.is_in_control))
-        if self._watch is not None:
-            self._state = self._ask(lambda: self._robot.state)
-            self._look(running)
-        elif self._ending is not None and not running and not (self._hand is not None and self._hand.busy):
-            self._outcome, self._ending = self._ending, None
-
-    def _look(self, running: bool) -> None:
-        assert self._watch is not None
-        state = self._state
-        ended = self._watch.look(
+        if self._watch is None:
+            if self._ending is not None and not running and not (self._hand is not None and self._hand.busy):
+                self._outcome, self._ending = self._ending, None
+            return
+        self._state = state = self._ask(lambda: self._robot.state)
+        self._ending = self._watch.look(
             np.array(state.O_T_EE.matrix),
             np.array(state.O_T_EE_d.matrix),
             running=running,
             speed=float(np.abs(state.dq).max()),
             now=state.time.to_msec() / 1000.0,
         )
-        if ended is None:
-            return
-        self._watch = None
-        if running:
-            self._move(self._franky.CartesianStopMotion())
-        self._ending = ended
-        self._grip()
+        if self._ending is not None:
+            self._watch = None
+            if running:
+                self._move(self._franky.CartesianStopMotion())
+            self._grip()
 
     # Motions ---------------------------------------------------------------------------------------------------------
 
@@ -150,7 +192,7 @@ class FrankyBackend:
         self._forget()
         # franky plans from a state that is some milliseconds old. Replanning at 30 Hz makes a braking arm overshoot by
         # half of the braking distance. So a target that does not move keeps its motion.
-        rests = streamed is not None and max(pose_error(streamed, goal)) < SAME
+        rests = streamed is not None and max(pose_error(streamed, goal)) < SAME_TARGET
         if not (rests and self._ask(lambda: self._robot.is_in_control)):
             self._move(
                 self._franky.CartesianMotion(
@@ -168,20 +210,17 @@ class FrankyBackend:
         self._goal_opening = float(target.pose[GRIPPER_DIM])
         state = self._state
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
-        leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANS
+        leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANING_M
         ways = [here, goal] if leaning else [goal]
-        self._watch = OutcomeWatch(goal, self._options, now, self._time_limit(here, goal))
-        if not leaning and max(pose_error(here, goal)) < STAYS:
+        way, turn = pose_error(here, goal)
+        maxima = scaled_limits(self._options)
+        speed, angular_speed = (maxima[f"{name}_velocity_limit"][0] for name in ("translation", "rotation"))
+        travel_s = (way / speed + turn / angular_speed) / self._pace
+        self._watch = OutcomeWatch(goal, self._options, now, min(KEYFRAME_S, 3.0 + 2.0 * travel_s))
+        if not leaning and max(way, turn) < NO_MOTION:
             return  # only the fingers move
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
         self._move(self._franky.CartesianWaypointMotion(points, relative_dynamics_factor=self._pace))
-
-    def _time_limit(self, here: Array, goal: Array) -> float:
-        """Returns the time limit [s]: twice the travel time, plus time to start and stop."""
-        limits, share = self._options.limits, self._options.dynamics * self._pace
-        way, turn = pose_error(here, goal)
-        needed = way / (limits.translation.velocity * share) + turn / (limits.rotation.velocity * share)
-        return min(KEYFRAME_TIME_LIMIT, 3.0 + 2.0 * needed)
 
     @property
     def _pace(self) -> float:
@@ -211,13 +250,13 @@ class FrankyBackend:
         recovered = bool(self._ask(self._robot.recover_from_errors))
         self._state = self._ask(lambda: self._robot.state)
         # franky may use a state from before the arm's answer.
-        end = time.perf_counter() + RECOVERY_TIME
+        end = time.perf_counter() + RECOVERY_S
         while not recovered and time.perf_counter() < end:
             self._state = self._ask(lambda: self._robot.state)
             recovered = not flags_of(self._state.current_errors)
         if not recovered:
             raise RobotError("The arm did not recover from its errors: check it in Desk.")
-        self._gentle_until = self._state.time.to_msec() / 1000.0 + GENTLE_TIME
+        self._gentle_until = self._state.time.to_msec() / 1000.0 + GENTLE_S
 
     # Franky's errors -------------------------------------------------------------------------------------------------
 

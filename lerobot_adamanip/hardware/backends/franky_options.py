@@ -1,19 +1,72 @@
-"""Options of the real arm's process. They are part of the robot's configuration."""
+"""Options of the real arm's process, and the manufacturer's limits of a Franka by model, since libraries mix them up.
+
+Sources: Franka Robotics' "Robot and interface specifications" and libfranka's ``rate_limiting.h`` of the releases for
+each model. `franky-control` 2.0.0 swaps the two models (it uses Panda's limits for libfranka >= 0.10).
+"""
 
 from __future__ import annotations
 
 import re
 from dataclasses import dataclass
 
-from lerobot_adamanip.hardware.arm_process.encoding import message
-from lerobot_adamanip.hardware.limits import MODELS, FrankaLimits
+from lerobot_adamanip.hardware.arm_process.mailbox import message
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
+MODELS: dict[str, dict[str, float | tuple[float, ...]]] = {
+    "panda": {
+        "translation_velocity": 1.7,
+        "translation_acceleration": 13.0,
+        "translation_jerk": 6500.0,
+        "rotation_velocity": 2.5,
+        "rotation_acceleration": 25.0,
+        "rotation_jerk": 12500.0,
+        "elbow_velocity": 2.175,
+        "elbow_acceleration": 10.0,
+        "elbow_jerk": 5000.0,
+        "joint_velocity": (2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
+        "joint_acceleration": (15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+        "joint_jerk": (7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+    },
+    "fr3": {
+        "translation_velocity": 3.0,
+        "translation_acceleration": 9.0,
+        "translation_jerk": 4500.0,
+        "rotation_velocity": 2.5,
+        "rotation_acceleration": 17.0,
+        "rotation_jerk": 8500.0,
+        "elbow_velocity": 2.62,
+        "elbow_acceleration": 10.0,
+        "elbow_jerk": 5000.0,
+        "joint_velocity": (2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+        "joint_acceleration": (10.0,) * 7,
+        "joint_jerk": (5000.0,) * 7,
+    },
+}
+"""Maxima of the tool, the elbow (third joint) and each joint by model: [m] or [rad], per s, s^2 and s^3."""
+JOINT_RANGES = {
+    "panda": (
+        (-2.8973, -1.7628, -2.8973, -3.0718, -2.8973, -0.0175, -2.8973),
+        (2.8973, 1.7628, 2.8973, -0.0698, 2.8973, 3.7525, 2.8973),
+    ),
+    "fr3": (
+        (-2.7437, -1.7837, -2.9007, -3.0421, -2.8065, 0.5445, -3.0159),
+        (2.7437, 1.7837, 2.9007, -0.1518, 2.8065, 4.5169, 3.0159),
+    ),
+}
+"""Lower and upper ends of each joint [rad]."""
 BOUNDS = {
-    "dynamics": (0.001, 1.0), "stiffness": (10.0, 3000.0), "rotational_stiffness": (1.0, 300.0),
-    "stall_force": (1.0, 200.0), "stall_torque": (0.1, 50.0), "collision_force": (1.0, 500.0),
-    "collision_torque": (1.0, 100.0), "gripper_speed": (0.001, 0.2), "grasp_force": (1.0, 140.0),
-}  # fmt: skip
+    "dynamics": (0.001, 1.0),
+    "stiffness": (10.0, 3000.0),
+    "stall_force": (1.0, 200.0),
+    "collision_force": (1.0, 500.0),
+    "grasp_force": (1.0, 140.0),
+}
+ROTATIONAL_STIFFNESS = 40.0
+"""Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
+STALL_TORQUE, COLLISION_TORQUE = 1.1, 40.0
+"""Torque above which a key frame stalls, and torque of the arm's own reflex, per joint [N m]."""
+GRIPPER_SPEED = 0.1
+"""Speed of the fingers [m/s]."""
 
 
 @message
@@ -33,20 +86,11 @@ class FrankyOptions:
     stiffness: float = 1000.0
     """Translational stiffness of the firmware's Cartesian impedance [N/m]."""
 
-    rotational_stiffness: float = 40.0
-    """Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
-
     stall_force: float = 30.0
     """Force [N] above which a key frame ends with the outcome STALLED."""
 
-    stall_torque: float = 1.1
-    """Torque [N m] above which a key frame ends with the outcome STALLED."""
-
     collision_force: float = 60.0
     """Force of the arm's own reflex [N]. Must be above the stall force."""
-
-    collision_torque: float = 40.0
-    """Torque of the arm's own reflex, per joint [N m]."""
 
     effort_sign: float = 1.0
     """Sign, 1 or -1, that makes `joint_i.effort` the torque that the arm exerts. Measure it once, see docs/robot.md."""
@@ -57,16 +101,8 @@ class FrankyOptions:
     gripper: bool = True
     """Whether a Franka Hand is mounted."""
 
-    gripper_speed: float = 0.1
-    """Speed of the fingers [m/s]."""
-
     grasp_force: float = 30.0
     """Force of a grasp [N]."""
-
-    @property
-    def limits(self) -> FrankaLimits:
-        """Limits of the model."""
-        return MODELS[self.model]
 
     def check(self) -> None:
         """Raises `ConfigurationError` for a missing address or model, or a value out of bounds."""

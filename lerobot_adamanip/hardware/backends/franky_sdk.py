@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,8 @@ import numpy as np
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.motion_outcome import pose_error
+from lerobot_adamanip.hardware.backends.franky_options import COLLISION_TORQUE, JOINT_RANGES, MODELS, FrankyOptions
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
 
 INSTALL = "pip install 'lerobot_env_adamanip[franka]'; older arms need a wheel built for their firmware: docs/robot.md"
@@ -53,15 +52,15 @@ def connect_robot(franky: Any, options: FrankyOptions) -> Any:
         return franky.Robot(
             options.address,
             relative_dynamics_factor=1.0,
-            default_torque_threshold=options.collision_torque,
+            default_torque_threshold=COLLISION_TORQUE,
             default_force_threshold=options.collision_force,
             controller_mode=franky.ControllerMode.CartesianImpedance,
             realtime_config=realtime,
         )
     except Exception as error:
         hint = next((hint for name, hint in HINTS.items() if isinstance(error, getattr(franky, name))), DOCTOR)
-        told = f"No connection to the arm at {options.address}: {error}"
-        raise RobotError(told, got=type(error).__name__, allowed="a reachable arm", hint=hint) from None
+        what = f"No connection to the arm at {options.address}: {error}"
+        raise RobotError(what, got=type(error).__name__, allowed="a reachable arm", hint=hint) from None
 
 
 def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
@@ -70,27 +69,25 @@ def set_limits(robot: Any, options: FrankyOptions) -> dict[str, list[float]]:
     Lower limits of `franky` stay. Raises `RobotError` if the values read back differ from the written ones.
     """
     read: dict[str, list[float]] = {}
-    for name, wanted in wanted_limits(options):
+    for name, target in scaled_limits(options).items():
         limit = getattr(robot, name)
-        value = np.minimum(np.array(wanted), np.atleast_1d(np.asarray(limit.max, float)))
-        limit.set(value if len(wanted) > 1 else float(value[0]))
+        value = np.minimum(np.array(target), np.atleast_1d(np.asarray(limit.max, float)))
+        limit.set(value if len(target) > 1 else float(value[0]))
         read[name] = np.atleast_1d(np.asarray(limit.get(), float)).tolist()
         if read[name] != value.tolist():
             raise RobotError(f"The arm's {name} was set to {value.tolist()} and reads {read[name]}.")
     return read
 
 
-def wanted_limits(options: FrankyOptions) -> Iterator[tuple[str, list[float]]]:
-    """Yields each limit as franky's name and our values times ``dynamics``."""
-    for name in ("translation", "rotation", "elbow", "joint"):
-        for what in ("velocity", "acceleration", "jerk"):
-            values = np.atleast_1d(getattr(getattr(options.limits, name), what))
-            yield f"{name}_{what}_limit", (values * options.dynamics).tolist()
+def scaled_limits(options: FrankyOptions) -> dict[str, list[float]]:
+    """Returns our limits times ``dynamics`` by franky's names."""
+    limits = MODELS[options.model].items()
+    return {f"{name}_limit": (np.atleast_1d(value) * options.dynamics).tolist() for name, value in limits}
 
 
 def check_joints(qpos: Any, options: FrankyOptions) -> None:
     """Raises `RobotError` for joints outside the model's range: the arm is another model."""
-    lower, upper = np.array(options.limits.joint_lower), np.array(options.limits.joint_upper)
+    lower, upper = map(np.array, JOINT_RANGES[options.model])
     outside = (np.asarray(qpos) < lower - RANGE_MARGIN) | (np.asarray(qpos) > upper + RANGE_MARGIN)
     if outside.any():
         raise RobotError(
@@ -134,37 +131,3 @@ def reading_of(state: Any, gripper: float, effort_sign: float, outcome: Outcome 
 def flags_of(errors: Any) -> tuple[str, ...]:
     """Returns the names of the error flags that are set, out of 41."""
     return tuple(name for name in dir(errors) if not name.startswith("_") and getattr(errors, name) is True)
-
-
-class FrankyHand:
-    """A `Hand` on `franky.Gripper`. ``speed``: finger speed [m/s]; ``force``: grasp force [N]."""
-
-    def __init__(self, address: str, speed: float, force: float) -> None:
-        self._hand = import_franky().Gripper(address)
-        self._speed, self._force = speed, force
-        self._max_width = float(self._hand.max_width)
-        if self._max_width <= 0:
-            raise RobotError("The gripper's width is unknown: home it once, in Desk or with franky's Gripper.homing().")
-
-    def open(self) -> None:
-        """Opens the hand completely."""
-        self._command(lambda: self._hand.move(self._max_width, self._speed))
-
-    def close(self) -> None:
-        """Closes on an object of any width and holds it."""
-        self._command(lambda: self._hand.grasp(0.0, self._speed, self._force, epsilon_outer=1.0))
-
-    def _command(self, call: Callable[[], bool]) -> None:
-        """Calls the gripper. An empty grasp or a blocked move is not an error: the width shows it."""
-        try:
-            call()
-        except import_franky().CommandException:
-            return
-
-    def opening(self) -> float:
-        """Returns the opening: width / maximum width."""
-        return min(1.0, max(0.0, float(self._hand.width) / self._max_width))
-
-    def stop(self) -> None:
-        """Stops the current command."""
-        self._hand.stop()

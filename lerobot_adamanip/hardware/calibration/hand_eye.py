@@ -14,15 +14,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, transform
+from lerobot_adamanip.contract.rotations import Array, matrix_from_rotation_vector, transform
 from lerobot_adamanip.hardware.camera_frames import Intrinsics
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import ConfigurationError
 
-Array = NDArray[np.float64]
-FEWEST_VIEWS = 12
-LEAST_SPREAD = np.deg2rad(30)
+MIN_VIEWS = 12
+MIN_SPREAD_RAD = np.deg2rad(30)
 """Minimum rotation range of the tool about two axes [rad]."""
-WORST_RMS = 1.0
+MAX_RMS_PX = 1.0
 """Maximum error of an accepted calibration [px]."""
 _DRAWS, _DRAWN = 60, 6
 """Number of solutions from small subsets. One or two wrong poses spoil a solution from all views."""
@@ -98,26 +98,24 @@ def solve(views: Sequence[View], intrinsics: Intrinsics, mounting: Mounting) -> 
         ConfigurationError: the views are too few, too similar or do not fit, or some contradict the others (the error
             names them).
     """
-    moved = _moved(views, mounting)
+    poses = np.reshape([view.tcp_in_base for view in views], (-1, 4, 4))
+    moved = poses if mounting is Mounting.FIXED else np.linalg.inv(poses)
     _require_variety(views, moved)
     problem = _Problem(views, moved, intrinsics)
     seen = np.stack([_board_in_camera(view, intrinsics) for view in views])
     start = _best_start(problem, moved, seen)
-    found = problem.refined(*start)
-    _require_agreement(views, problem.rms_of_views(*found))
-    rms = float(np.sqrt(np.mean(np.square(problem.errors(*found)))))
-    camera, board = found
+    camera, board = problem.refined(*start)
+    pixels = problem.rms_of_views(camera, board)
+    _require_agreement(views, pixels)
+    rms = float(np.sqrt(np.mean(np.square(problem.errors(camera, board)))))
     fewer = [problem.refined(camera, board, problem.view != index)[0] for index in range(len(views))]
-    positions, angles = zip(*(_apart(other, camera) for other in fewer), strict=True)
+    positions, angles = zip(*(pose_error(other, camera) for other in fewer), strict=True)
     expected = np.linalg.inv(camera) @ moved @ board
-    each = zip(views, problem.rms_of_views(*found), seen, expected, strict=True)
-    residuals = tuple(Residual(view.name, float(pixels), *_apart(alone, both)) for view, pixels, alone, both in each)
+    residuals = tuple(
+        Residual(view.name, float(error), *pose_error(alone, together))
+        for view, error, alone, together in zip(views, pixels, seen, expected, strict=True)
+    )
     return HandEye(mounting, camera, board, rms, residuals, max(positions), max(angles))
-
-
-def _apart(first: Array, second: Array) -> tuple[float, float]:
-    """Returns the distance between two (4, 4) poses [m, rad]."""
-    return float(np.linalg.norm(first[:3, 3] - second[:3, 3])), angle_between(first[:3, :3], second[:3, :3])
 
 
 class _Problem:
@@ -131,11 +129,15 @@ class _Problem:
         self.pixels = np.concatenate([view.pixels for view in views])
 
     def errors(self, camera: Array, board: Array, kept: NDArray[np.bool_] | None = None) -> Array:
-        """Returns the errors (K, 2) [px] of all corners, or of those ``kept``."""
+        """Returns the errors (K, 2) [px] of all corners, or of those ``kept``. Large for points behind the camera."""
+        import cv2
+
         chosen = ... if kept is None else kept
         board_in_camera = np.linalg.inv(camera) @ self.moved @ board
-        points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])
-        return np.asarray(_project(points[:, :3], self.intrinsics) - self.pixels[chosen])
+        points = np.einsum("kij,kj->ki", board_in_camera[self.view[chosen]], self.points[chosen])[:, :3]
+        lens, none = self.intrinsics, np.zeros(3)
+        pixels = cv2.projectPoints(np.ascontiguousarray(points), none, none, lens.matrix, lens.distortion)[0][:, 0]
+        return np.asarray(np.where(points[:, 2:] > 1e-3, pixels, 1e6) - self.pixels[chosen])
 
     def rms_of_views(self, camera: Array, board: Array) -> Array:
         """Returns the error of each view (V,) [px]."""
@@ -147,32 +149,13 @@ class _Problem:
         from scipy.optimize import least_squares
 
         def poses(step: Array) -> tuple[Array, Array]:
-            return camera @ _small(step[:6]), board @ _small(step[6:])
+            camera_step, board_step = (transform(s[:3], matrix_from_rotation_vector(s[3:])) for s in step.reshape(2, 6))
+            return camera @ camera_step, board @ board_step
 
         def errors(step: Array) -> Array:
             return self.errors(*poses(step), kept).ravel()
 
-        done = least_squares(errors, np.zeros(12), loss="soft_l1", x_scale="jac", max_nfev=100)
-        return poses(done.x)
-
-
-def _project(points_in_camera: Array, intrinsics: Intrinsics) -> Array:
-    """Projects points (K, 3) [m] to pixels (K, 2). Points behind the camera land far outside any picture."""
-    import cv2
-
-    points, none = np.ascontiguousarray(points_in_camera), np.zeros(3)
-    pixels = cv2.projectPoints(points, none, none, intrinsics.matrix, intrinsics.distortion)[0][:, 0]
-    return np.asarray(np.where(points_in_camera[:, 2:] > 1e-3, pixels, 1e6), np.float64)
-
-
-def _moved(views: Sequence[View], mounting: Mounting) -> Array:
-    """Returns ``moved`` (V, 4, 4) of the equation above."""
-    poses = np.reshape([view.tcp_in_base for view in views], (-1, 4, 4))
-    return poses if mounting is Mounting.FIXED else np.linalg.inv(poses)
-
-
-def _small(step: Array) -> Array:
-    return transform(step[:3], matrix_from_rotation_vector(step[3:]))
+        return poses(least_squares(errors, np.zeros(12), loss="soft_l1", x_scale="jac", max_nfev=100).x)
 
 
 def _board_in_camera(view: View, intrinsics: Intrinsics) -> Array:
@@ -186,7 +169,7 @@ def _best_start(problem: _Problem, moved: Array, seen: Array) -> tuple[Array, Ar
     """Returns the solution with the smallest median error, from all views or a small subset."""
     rng = np.random.default_rng(0)
     subsets = [np.arange(len(moved)), *(rng.choice(len(moved), _DRAWN, replace=False) for _ in range(_DRAWS))]
-    starts = [found for subset in subsets if (found := _park(moved[subset], seen[subset])) is not None]
+    starts = [start for subset in subsets if (start := _park(moved[subset], seen[subset])) is not None]
     return min(starts, key=lambda start: float(np.median(problem.rms_of_views(*start))))
 
 
@@ -212,50 +195,46 @@ def _park(moved: Array, seen: Array) -> tuple[Array, Array] | None:
 
 
 def _require_variety(views: Sequence[View], moved: Array) -> None:
-    if len(views) < FEWEST_VIEWS:
+    from scipy.spatial.transform import Rotation
+
+    if len(views) < MIN_VIEWS:
         raise ConfigurationError(
             "Too few pictures of the board.",
             got=f"the board found in {len(views)}",
-            allowed=f"at least {FEWEST_VIEWS}; 20 are better",
+            allowed=f"at least {MIN_VIEWS}; 20 are better",
             hint="more poses, board whole in the picture and lit evenly",
         )
-    spread = _rotation_spread(moved)
-    if spread[1] < LEAST_SPREAD:
-        degrees = ", ".join(f"{each:.0f}" for each in np.rad2deg(spread))
+    # rotation ranges about the principal axes, largest first
+    rotations = Rotation.from_matrix(moved[:, :3, :3])
+    turns = (rotations.mean().inv() * rotations).as_rotvec()
+    axes = np.linalg.svd(turns - turns.mean(axis=0))[2]
+    spread = np.sort(np.ptp(turns @ axes.T, axis=0))[::-1]
+    if spread[1] < MIN_SPREAD_RAD:
+        degrees = ", ".join(f"{degree:.0f}" for degree in np.rad2deg(spread))
         raise ConfigurationError(
             "The poses are too much alike: the board is hardly turned.",
             got=f"turned by {degrees} degrees about three axes",
-            allowed=f"at least {np.rad2deg(LEAST_SPREAD):.0f} about two axes",
+            allowed=f"at least {np.rad2deg(MIN_SPREAD_RAD):.0f} about two axes",
             hint="tilt the hand to all sides, 20 degrees and more",
         )
 
 
-def _rotation_spread(poses: Array) -> Array:
-    """Returns the rotation ranges (3,) [rad] of poses (V, 4, 4) about their principal axes, largest first."""
-    from scipy.spatial.transform import Rotation
-
-    rotations = Rotation.from_matrix(poses[:, :3, :3])
-    turns = (rotations.mean().inv() * rotations).as_rotvec()
-    axes = np.linalg.svd(turns - turns.mean(axis=0))[2]
-    return np.sort(np.ptp(turns @ axes.T, axis=0))[::-1]
-
-
 def _require_agreement(views: Sequence[View], rms: Array) -> None:
     """Raises `ConfigurationError` for a bad fit, or with the views that contradict the others."""
-    wrong = np.flatnonzero(rms > max(3 * WORST_RMS, 5 * float(np.median(rms))))
+    wrong = np.flatnonzero(rms > max(3 * MAX_RMS_PX, 5 * float(np.median(rms))))
     if len(wrong):
         named = ", ".join(f"{views[index].name} ({rms[index]:.1f} px)" for index in wrong)
         raise ConfigurationError(
             "Some pictures contradict the others: pose and picture do not match, or the arm moved.",
             got=named,
-            allowed=f"rms below {WORST_RMS:.0f} px, the others' median is {np.median(rms):.2f}",
+            allowed=f"rms below {MAX_RMS_PX:.0f} px, the others' median is {np.median(rms):.2f}",
             hint="leave them out, or take them again",
         )
     overall = float(np.sqrt(np.mean(np.square(rms))))
-    if overall > WORST_RMS:
+    if overall > MAX_RMS_PX:
         raise ConfigurationError(
             "The solution does not fit the pictures.",
             got=f"rms {overall:.2f} px",
-            allowed=f"at most {WORST_RMS:.0f} px",
+            allowed=f"at most {MAX_RMS_PX:.0f} px",
             hint="measure the printed squares; hold the board flat; rest at each pose; check the mounting",
         )

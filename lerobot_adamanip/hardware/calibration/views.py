@@ -1,43 +1,121 @@
-"""Folder of board pictures with tool poses: ``views.json``, ``view_000.png`` and so on."""
+"""Pictures of a ChArUco board with tool poses: the board, their folder, and taking them with the robot.
+
+A folder has ``views.json``, ``view_000.png`` and so on.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import functools
+import time
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.calibration.board import DICTIONARY, Board
-from lerobot_adamanip.hardware.calibration.file import check_intrinsics, check_name, check_pose, to_json
+from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.calibration.hand_eye import HandEye, Mounting, View
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import (
+    CameraCalibration,
+    Intrinsics,
+    check_intrinsics,
+    check_name,
+    check_pose,
+    to_json,
+)
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util import json_fields
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 from lerobot_adamanip.util.files import write_atomically
 
+DICTIONARY = "DICT_5X5_100"
+FEWEST_CORNERS = 8
+"""Minimum number of inner corners in a picture."""
+MAX_MOTION_M, MAX_TURN_RAD = 0.0005, 0.002
+"""Maximum motion of the arm during a picture."""
+PICTURE_S = 2.0
+"""Maximum wait for a picture."""
 FILE, VERSION = "views.json", 1
-_SIDE = json_fields.number(1e-3, 1)
+_COUNT, _SIDE = json_fields.integer(3, 14), json_fields.number(1e-3, 1)
 _CHECK = json_fields.table(
     {
         "version": json_fields.integer(VERSION, VERSION),
         "camera": check_name,
         "mounting": json_fields.choice(tuple(Mounting)),
-        "board": json_fields.table(
-            {
-                "columns": json_fields.integer(3, 14),
-                "rows": json_fields.integer(3, 14),
-                "square": _SIDE,
-                "marker": _SIDE,
-            }
-        ),
+        "board": json_fields.table({"columns": _COUNT, "rows": _COUNT, "square": _SIDE, "marker": _SIDE}),
         "color": check_intrinsics,
         "depth": json_fields.optional(check_intrinsics),
         "depth_in_color": json_fields.optional(check_pose),
         "tcp_in_base": json_fields.listing(check_pose, 0, 1000),
     }
 )
+
+
+@dataclass(frozen=True)
+class Board:
+    """Board sizes as printed. Measure them with a ruler, since printers scale.
+
+    Attributes:
+        columns, rows: squares along x and y.
+        square: side length of a square [m].
+        marker: side length of a marker [m], smaller than a square.
+    """
+
+    columns: int = 7
+    rows: int = 5
+    square: float = 0.040
+    marker: float = 0.030
+
+    def __post_init__(self) -> None:
+        if not (3 <= self.columns <= 14 and 3 <= self.rows <= 14 and 0.2 * self.square < self.marker < self.square < 1):
+            raise ConfigurationError(
+                "No ChArUco board has these sizes.",
+                got=f"{self.columns} x {self.rows} squares of {self.square} m, markers of {self.marker} m",
+                allowed="3 ... 14 squares along a side, less than 1 m, markers smaller than squares",
+                hint="--columns 7 --rows 5 --square 0.04 --marker 0.03",
+            )
+
+    def image(self, pixels_per_metre: float) -> NDArray[np.uint8]:
+        """Returns an image of the board with a white margin of half a square."""
+        square = round(self.square * pixels_per_metre)
+        size, margin = (self.columns * square, self.rows * square), square // 2
+        drawn = _aruco(self)[0].generateImage((size[0] + 2 * margin, size[1] + 2 * margin), marginSize=margin)
+        return np.asarray(drawn, np.uint8)
+
+    def detect(self, gray: NDArray[np.uint8]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Returns the inner corners in a picture (H, W) as points (K, 3) [m] and pixels (K, 2); none if fewer than
+        `FEWEST_CORNERS` are found. The board frame starts at its first corner, x right, y down.
+        """
+        import cv2
+
+        drawn, detector = _aruco(self)
+        corners, ids, _, _ = detector.detectBoard(gray)
+        if ids is None or len(ids) < FEWEST_CORNERS:
+            return np.zeros((0, 3)), np.zeros((0, 2))
+        # OpenCV up to 4.13 finds corners half a pixel too far right and down (its issue 25539). Refinement gives the
+        # same corner in all versions if its window contains no marker edges.
+        places = np.asarray(corners).reshape(-1, 2)
+        distances = np.linalg.norm(places[:, None] - places[None], axis=2)
+        np.fill_diagonal(distances, np.inf)
+        spacing = float(np.median(distances.min(axis=1)))
+        window = int(np.clip(spacing * (self.square - self.marker) / (2 * self.square), 2, 8))
+        ends = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 50, 1e-3)
+        corners = cv2.cornerSubPix(gray, np.array(corners, np.float32), (window, window), (-1, -1), ends)
+        points = np.asarray(drawn.getChessboardCorners(), np.float64)[np.ravel(ids)]
+        return points, np.asarray(corners, np.float64).reshape(-1, 2)
+
+
+@functools.lru_cache(maxsize=4)
+def _aruco(board: Board) -> tuple[Any, Any]:
+    """Returns OpenCV's board and its detector."""
+    import cv2
+
+    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
+    charuco = cv2.aruco.CharucoBoard((board.columns, board.rows), board.square, board.marker, dictionary)
+    return charuco, cv2.aruco.CharucoDetector(charuco)
 
 
 @dataclass(frozen=True)
@@ -67,12 +145,10 @@ class ViewFolder:
     def open(cls, folder: Path) -> ViewFolder:
         """Reads ``views.json``. Raises `ConfigurationError` if it is missing or invalid."""
         try:
-            read = json_fields.read(folder / FILE)
-            if isinstance(read, dict) and isinstance(read.get("board"), dict):
-                read["board"].pop("legacy", None)  # folders of version 0.3
-            told = _CHECK(FILE, read)
-            if (told["depth"] is None) != (told["depth_in_color"] is None):
+            content = _CHECK(FILE, json_fields.read(folder / FILE))
+            if (content["depth"] is None) != (content["depth_in_color"] is None):
                 raise ValueError("depth and depth_in_color go together")
+            content |= {"mounting": Mounting(content["mounting"]), "board": Board(**content["board"])}
         except (OSError, ValueError) as error:
             raise ConfigurationError(
                 "No pictures of a board with poses.",
@@ -80,8 +156,8 @@ class ViewFolder:
                 allowed=f"a folder with {FILE} of version {VERSION} and its pictures",
                 hint="adamanip calibrate FOLDER --record robot.json",
             ) from error
-        del told["version"]
-        return cls(folder, **{**told, "mounting": Mounting(told["mounting"]), "board": Board(**told["board"])})
+        del content["version"]
+        return cls(folder, **content)
 
     def added(self, color: NDArray[np.uint8], tcp_in_base: NDArray[np.float64]) -> ViewFolder:
         """Adds a picture (H, W, 3) RGB with its pose and returns the new folder."""
@@ -104,7 +180,7 @@ class ViewFolder:
         """
         import cv2
 
-        found: list[View] = []
+        views: list[View] = []
         for index, pose in enumerate(self.tcp_in_base):
             path = self._picture(index)
             gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
@@ -117,17 +193,17 @@ class ViewFolder:
                 )
             points, pixels = self.board.detect(np.asarray(gray, np.uint8))
             if len(points):
-                found.append(View(path.name, pose, points, pixels))
+                views.append(View(path.name, pose, points, pixels))
             else:
                 tell(f"{path.name}: the board is not seen")
-        if not found and self.tcp_in_base:
+        if not views and self.tcp_in_base:
             raise ConfigurationError(
                 "No picture shows the board.",
                 got=f"{len(self.tcp_in_base)} pictures without it",
                 allowed=f"{self.board.columns} x {self.board.rows} squares, {DICTIONARY}, pattern of OpenCV since 4.6",
                 hint="is it the board of --board-image, whole in the picture, and sharp?",
             )
-        return found
+        return views
 
     def calibration(self, solved: HandEye) -> CameraCalibration:
         """Returns the calibration of the depth imager, given the pose of the colour imager."""
@@ -144,3 +220,113 @@ class ViewFolder:
 
     def _picture(self, index: int) -> Path:
         return self.folder / f"view_{index:03d}.png"
+
+
+# With the robot -------------------------------------------------------------------------------------------------------
+
+
+def robot_from_file(path: Path) -> Any:
+    """Returns the robot from a JSON file of ``--robot.*`` options. Raises `ConfigurationError`."""
+    import draccus
+    from lerobot.robots import make_robot_from_config
+    from lerobot.robots.config import RobotConfig
+
+    try:
+        return make_robot_from_config(draccus.decode(RobotConfig, json_fields.read(path)))
+    except Exception as error:  # draccus and LeRobot raise many kinds
+        raise ConfigurationError(
+            "The file describes no robot.",
+            got=f"{path}: {error}",
+            allowed='JSON of the options after --robot: {"type": "adamanip_franka", ..., "cameras": {...}}',
+            hint="use the --robot options of your lerobot-record command",
+        ) from error
+
+
+def camera_of(robot: Any, key: str) -> Any:
+    """Returns a robot's camera. Raises `ConfigurationError` if it is missing or has no intrinsics."""
+    cameras: Mapping[str, Any] = getattr(robot, "cameras", {})
+    camera = cameras.get(key)
+    if not hasattr(camera, "color_intrinsics"):
+        raise ConfigurationError(
+            f"The robot has no camera {key} that can be calibrated.",
+            got=", ".join(f"{name}: {type(camera).__name__}" for name, camera in cameras.items()) or "no cameras",
+            allowed="one of this project's cameras: adamanip_realsense",
+            hint="--key, or another camera in the robot's file",
+        )
+    return camera
+
+
+def begin(folder: Path, camera: Any, mounting: Mounting, board: Board) -> ViewFolder:
+    """Opens an existing folder of pictures, or creates one with the camera's intrinsics.
+
+    Raises:
+        ConfigurationError: the existing pictures show another camera, mounting or board.
+        RobotError: the camera does not report its intrinsics.
+    """
+    depth = camera.depth_in_color()
+    new = ViewFolder(
+        folder,
+        camera.name,
+        mounting,
+        board,
+        camera.color_intrinsics(),
+        None if depth is None else camera.depth_intrinsics(),
+        depth,
+    )
+    if not (folder / FILE).exists():
+        return new
+    existing = ViewFolder.open(folder)
+    if (existing.camera, existing.mounting, existing.board) != (new.camera, new.mounting, new.board):
+        raise ConfigurationError(
+            "The folder holds pictures of something else.",
+            got=f"{existing.camera}, {existing.mounting}, {existing.board}",
+            allowed=f"{new.camera}, {new.mounting}, {new.board}",
+            hint="another folder",
+        )
+    return existing
+
+
+def take_views(
+    robot: Any, camera: Any, folder: ViewFolder, ask: Callable[[], bool], tell: Callable[[str], None]
+) -> ViewFolder:
+    """Takes pictures while ``ask`` returns True, and returns the folder with them.
+
+    Keeps a picture if it shows the board and the arm was at rest. ``tell`` gets one line per picture.
+    """
+    import cv2
+
+    while ask():
+        try:
+            before = _pose_after_guiding(robot)
+            frame = camera.frame_after(time.perf_counter(), PICTURE_S)
+            after = _tool_pose(robot)
+        except RobotError as error:
+            tell(str(error))
+            continue
+        distance, angle = pose_error(after, before)
+        if distance > MAX_MOTION_M or angle > MAX_TURN_RAD:
+            tell("the arm moved: picture not kept")
+            continue
+        assert frame.color is not None
+        gray = np.asarray(cv2.cvtColor(frame.color, cv2.COLOR_RGB2GRAY), np.uint8)
+        corners = len(folder.board.detect(gray)[0])
+        if not corners:
+            tell("the board is not seen: picture not kept")
+            continue
+        folder = folder.added(frame.color, after)
+        tell(f"{len(folder.tcp_in_base)} pictures; {corners} corners in this one")
+    return folder
+
+
+def _pose_after_guiding(robot: Any) -> NDArray[np.float64]:
+    """Returns the tool pose (4, 4) [m]. Clears the fault that guiding leaves; raises `RobotError` for others."""
+    try:
+        return _tool_pose(robot)
+    except RobotError:
+        robot.recover()
+        return _tool_pose(robot)
+
+
+def _tool_pose(robot: Any) -> NDArray[np.float64]:
+    observation = robot.get_observation()
+    return pose_from_vector([observation[name] for name in POSE_NAMES])[0]

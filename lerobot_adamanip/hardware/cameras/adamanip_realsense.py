@@ -59,10 +59,10 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         """Returns the pose (4, 4) [m] of the depth imager in the colour frame; None unless both are enabled."""
         if not (self.use_rgb and self.use_depth):
             return None
-        told = self._stream(stock.rs.stream.depth).get_extrinsics_to(self._stream(stock.rs.stream.color))
+        extrinsics = self._stream(stock.rs.stream.depth).get_extrinsics_to(self._stream(stock.rs.stream.color))
         pose = np.eye(4)
-        pose[:3, :3] = np.reshape(told.rotation, (3, 3)).T  # librealsense stores it column by column
-        pose[:3, 3] = told.translation
+        pose[:3, :3] = np.reshape(extrinsics.rotation, (3, 3)).T  # librealsense stores it column by column
+        pose[:3, 3] = extrinsics.translation
         return pose
 
     def _stream(self, kind: Any) -> Any:
@@ -71,11 +71,11 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         return self.rs_profile.get_stream(kind)
 
     def _intrinsics(self, kind: Any) -> Intrinsics:
-        told = self._stream(kind).as_video_stream_profile().get_intrinsics()
-        if told.model.name not in PINHOLES:
-            raise self._error("Its lens model is no pinhole model.", told.model.name, ", ".join(PINHOLES))
-        matrix = np.array([[told.fx, 0.0, told.ppx], [0.0, told.fy, told.ppy], [0.0, 0.0, 1.0]])
-        return Intrinsics(matrix, np.array(told.coeffs, np.float64), told.width, told.height)
+        intrinsics = self._stream(kind).as_video_stream_profile().get_intrinsics()
+        if intrinsics.model.name not in PINHOLES:
+            raise self._error("Its lens model is no pinhole model.", intrinsics.model.name, ", ".join(PINHOLES))
+        matrix = np.array([[intrinsics.fx, 0.0, intrinsics.ppx], [0.0, intrinsics.fy, intrinsics.ppy], [0.0, 0.0, 1.0]])
+        return Intrinsics(matrix, np.array(intrinsics.coeffs, np.float64), intrinsics.width, intrinsics.height)
 
     # Hooks of LeRobot's class ---------------------------------------------------------------------------------------
 

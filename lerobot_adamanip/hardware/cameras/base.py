@@ -62,9 +62,9 @@ class LatestFrame:
         self._taken = self._taken if frame is None else frame.number
         return frame
 
-    def _wait(self, wanted: Callable[[Frame], bool], timeout: float) -> Frame | None:
+    def _wait(self, is_due: Callable[[Frame], bool], timeout: float) -> Frame | None:
         def ready() -> bool:
-            return self._frame is not None and wanted(self._frame)
+            return self._frame is not None and is_due(self._frame)
 
         with self._changed:
             self._changed.wait_for(lambda: self.failure is not None or ready(), timeout)
@@ -113,7 +113,7 @@ class FrameReader:
             RobotError: no frame came within ``timeout`` [s], or the camera has failed.
         """
         self.wake(new=True)
-        return self._given(self.frames.after(stamp, timeout), timeout)
+        return self._require(self.frames.after(stamp, timeout), timeout)
 
     # LeRobot's read methods: colour (H, W, 3), depth (H, W, 1) [mm]. All raise `RobotError`.
 
@@ -143,9 +143,9 @@ class FrameReader:
 
     def _next_frame(self, timeout: float) -> Frame:
         self.wake(new=True)
-        return self._given(self.frames.next(timeout), timeout)
+        return self._require(self.frames.next(timeout), timeout)
 
-    def _given(self, frame: Frame | None, timeout: float) -> Frame:
+    def _require(self, frame: Frame | None, timeout: float) -> Frame:
         if self.frames.failure is not None:
             raise self._failed()
         if frame is not None:

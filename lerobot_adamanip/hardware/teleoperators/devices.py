@@ -53,10 +53,10 @@ class AdamanipGamepad(JogTeleop):
         self._pygame = pygame
         pygame.init()
         pygame.joystick.init()
-        found = pygame.joystick.get_count()
-        if found <= self.config.index:
+        count = pygame.joystick.get_count()
+        if count <= self.config.index:
             raise RobotError(
-                "There is no such gamepad.", got=f"index {self.config.index}", allowed=f"{found} connected"
+                "There is no such gamepad.", got=f"index {self.config.index}", allowed=f"{count} connected"
             )
         self._pad = pygame.joystick.Joystick(self.config.index)
         self._pad.init()
@@ -134,11 +134,11 @@ class AdamanipSpacemouse(JogTeleop):
     def _newest(self) -> Any:
         """Returns the state after all queued reports. Without any, the library repeats its last state."""
         try:
-            state, told = self._device.read(), None
+            state, stamp = self._device.read(), None
             for _ in range(MAX_REPORTS):
-                if state.t == told:
+                if state.t == stamp:
                     break
-                told = state.t
+                stamp = state.t
                 state = self._device.read()
         except Exception as error:  # depends on the hidapi binding
             raise RobotError(

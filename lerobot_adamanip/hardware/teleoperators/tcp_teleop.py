@@ -117,18 +117,18 @@ class TcpTeleop(Teleoperator):
         """Returns the time since the last call [s]. Drops the anchor after a long pause or at a new episode."""
         step = session.details.get(LOCKSTEP_DT)
         dt = now - self._called if step is None else float(step)  # in lockstep no call is late
-        begun = session is not self._session or session.episodes != self._episode
-        if begun or dt > MAX_PAUSE_S:
+        is_new = session is not self._session or session.episodes != self._episode
+        if is_new or dt > MAX_PAUSE_S:
             self._session, self._episode = session, session.episodes
             self._filter = None
-            self._anchored_after = float("-inf") if begun else self._anchored_after
-            self._begin(session, new_episode=begun)
+            self._anchored_after = float("-inf") if is_new else self._anchored_after
+            self._begin(session, new_episode=is_new)
         return min(dt, MAX_PAUSE_S)
 
-    def _to(self, wanted: Target, reading: ArmReading, dt: float) -> Target:
+    def _to(self, target: Target, reading: ArmReading, dt: float) -> Target:
         """Moves the goal towards a target (10,), within the robot's limits."""
         assert self._filter is not None
-        return self._filter.stream(wanted, reading.tcp_in_base, dt)
+        return self._filter.stream(target, reading.tcp_in_base, dt)
 
     # Subclasses ------------------------------------------------------------------------------------------------------
 
@@ -195,22 +195,22 @@ class JogTeleop(TcpTeleop):
             session.details[RESET_WANTED] = True
         assert self._filter is not None
         if jog.clutch and not self._driving:
-            held = self._filter.last
-            self._filter.anchor(reading.tcp_in_base, reading.gripper if held is None else float(held[GRIPPER_DIM]))
+            last = self._filter.last
+            self._filter.anchor(reading.tcp_in_base, reading.gripper if last is None else float(last[GRIPPER_DIM]))
             dt = 0.0  # deflections from before the clutch was held cause no motion
         self._driving = jog.clutch
         last = self._filter.last
         assert last is not None
         pose, gripper = pose_from_vector(last)
-        still = not jog.clutch or not (jog.shift.any() or jog.turn.any())
+        is_still = not jog.clutch or not (jog.shift.any() or jog.turn.any())
         if jog.toggle:
             gripper = 0.0 if gripper > 0.5 else 1.0
         if jog.clutch:
             pose[:3, 3] += jog.shift * (self.config.speed * dt)
             pose[:3, :3] = matrix_from_rotation_vector(jog.turn * (self.config.angular_speed * dt)) @ pose[:3, :3]
-        wanted = last.copy() if still else pose_vector(pose, gripper)
-        wanted[GRIPPER_DIM] = gripper
-        return self._to(wanted, reading, dt)
+        target = last.copy() if is_still else pose_vector(pose, gripper)
+        target[GRIPPER_DIM] = gripper
+        return self._to(target, reading, dt)
 
 
 def _named(target: Target) -> dict[str, float]:

@@ -123,7 +123,7 @@ class DepthToCloudStep(SameFeaturesStep):
         return [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in numbers]
 
     def _calibration(self) -> CameraCalibration:
-        from lerobot_adamanip.hardware.calibration.file import read_calibrations
+        from lerobot_adamanip.hardware.camera_frames import read_calibrations
         from lerobot_adamanip.hardware.robot_registry import ROBOTS
 
         if self.calibration is not None:

@@ -22,8 +22,7 @@ from toy_demos import REPO_ID
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
-from lerobot_adamanip.hardware.calibration.file import save_calibration
-from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, save_calibration
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS

@@ -1,4 +1,4 @@
-"""Gripper thread: opens and closes a gripper, so that the arm's loop never waits for it.
+"""The gripper: Franka's hand, opened and closed by a thread, so that the arm's loop never waits for it.
 
 Franka's hand takes 0.5-0.9 s for a command and refuses a second one meanwhile. So the thread sends a command only when
 the wanted opening crosses the middle, and only the newest.
@@ -10,33 +10,50 @@ import contextlib
 import threading
 import time
 from collections.abc import Callable
-from typing import Protocol
 
+from lerobot_adamanip.hardware.backends.franky_options import GRIPPER_SPEED
+from lerobot_adamanip.hardware.backends.franky_sdk import import_franky
 from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
 """Thresholds of the wanted opening [0 closed, 1 open]. Between the two nothing changes."""
-WIDE = 0.95
+OPEN_ENOUGH = 0.95
 """Opening above which the fingers need no initial open command."""
-READ_PERIOD = 0.05
-CONNECT_TIME, CLOSE_TIME = 10.0, 0.5
-"""Time between readings, and time limits of connect and close [s]."""
+READ_PERIOD_S, CONNECT_S, CLOSE_S = 0.05, 10.0, 0.5
+"""Time between readings, and time limits of connect and close."""
 
 
-class Hand(Protocol):
-    """A gripper whose calls may take 1 s. `opening` may be called while another thread is in `open` or `close`."""
+class FrankyHand:
+    """A Franka Hand with a grasp force [N]. `open` and `close` may take 1 s; `opening` may be called meanwhile."""
+
+    def __init__(self, address: str, force: float) -> None:
+        self._hand, self._force = import_franky().Gripper(address), force
+        self._max_width = float(self._hand.max_width)
+        if self._max_width <= 0:
+            raise RobotError("The gripper's width is unknown: home it once, in Desk or with franky's Gripper.homing().")
 
     def open(self) -> None:
         """Opens the hand completely."""
+        self._command(lambda: self._hand.move(self._max_width, GRIPPER_SPEED))
 
     def close(self) -> None:
-        """Closes on an object and holds it."""
+        """Closes on an object of any width and holds it."""
+        self._command(lambda: self._hand.grasp(0.0, GRIPPER_SPEED, self._force, epsilon_outer=1.0))
+
+    def _command(self, call: Callable[[], bool]) -> None:
+        """Calls the gripper. An empty grasp or a blocked move is not an error: the width shows it."""
+        try:
+            call()
+        except import_franky().CommandException:
+            return
 
     def opening(self) -> float:
-        """Returns the current opening, 0 closed ... 1 open."""
+        """Returns the opening: width / maximum width."""
+        return min(1.0, max(0.0, float(self._hand.width) / self._max_width))
 
     def stop(self) -> None:
         """Stops the current command."""
+        self._hand.stop()
 
 
 class GripperThread:
@@ -47,7 +64,7 @@ class GripperThread:
         commands: number of commands sent.
     """
 
-    def __init__(self, connect: Callable[[], Hand]) -> None:
+    def __init__(self, connect: Callable[[], FrankyHand]) -> None:
         self._connect = connect
         self._wake, self._stopping, self._ready = threading.Event(), threading.Event(), threading.Event()
         self._reading = threading.Lock()
@@ -55,22 +72,22 @@ class GripperThread:
         self._done: bool | None = None
         self._error = ""
         self.opening, self.commands = 1.0, 0
-        self._hand: Hand | None = None
+        self._hand: FrankyHand | None = None
         self._commander = threading.Thread(target=self._carry_out, name="gripper", daemon=True)
         self._reader = threading.Thread(target=self._keep_reading, name="gripper reader", daemon=True)
 
     def start(self) -> None:
-        """Connects. Raises `RobotError` if that fails or takes longer than `CONNECT_TIME`."""
+        """Connects. Raises `RobotError` if that fails or takes longer than `CONNECT_S`."""
         self._commander.start()
-        if not self._ready.wait(CONNECT_TIME):
-            raise RobotError(f"The gripper did not connect within {CONNECT_TIME:g} s.")
+        if not self._ready.wait(CONNECT_S):
+            raise RobotError(f"The gripper did not connect within {CONNECT_S:g} s.")
         self.check()
 
     def want(self, opening: float) -> None:
         """Sets the wanted opening, 0 closed ... 1 open. Returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
-        if self._wanted is None and opening > OPEN_ABOVE and self.opening > WIDE:
+        if self._wanted is None and opening > OPEN_ABOVE and self.opening > OPEN_ENOUGH:
             self._done = True
         self._wanted = opening > OPEN_ABOVE
         if self._wanted != self._done:
@@ -91,13 +108,13 @@ class GripperThread:
         self._error, self._wanted, self._done = "", None, None
 
     def close(self) -> None:
-        """Stops the current command and ends the threads, waiting at most `CLOSE_TIME`."""
+        """Stops the current command and ends the threads, waiting at most `CLOSE_S`."""
         self._stopping.set()
         self._wake.set()
         if self.busy and self._hand is not None:
             with contextlib.suppress(Exception):
                 self._hand.stop()
-        until = time.perf_counter() + CLOSE_TIME
+        until = time.perf_counter() + CLOSE_S
         for thread in (self._commander, self._reader):
             if thread.is_alive():
                 thread.join(max(0.0, until - time.perf_counter()))
@@ -113,7 +130,7 @@ class GripperThread:
 
     def _keep_reading(self) -> None:
         """Reads the opening repeatedly, also during commands."""
-        while not self._stopping.wait(READ_PERIOD):
+        while not self._stopping.wait(READ_PERIOD_S):
             self._guarded(self._read)
 
     def _guarded(self, call: Callable[[], None]) -> None:
@@ -130,12 +147,12 @@ class GripperThread:
         self._reader.start()
 
     def _command(self) -> None:
-        wanted = self._wanted
-        if self._hand is not None and wanted is not None and wanted != self._done:
+        opens = self._wanted
+        if self._hand is not None and opens is not None and opens != self._done:
             self.commands += 1
-            self._hand.open() if wanted else self._hand.close()
+            self._hand.open() if opens else self._hand.close()
             self._read()
-            self._done = wanted
+            self._done = opens
 
     def _read(self) -> None:
         assert self._hand is not None
