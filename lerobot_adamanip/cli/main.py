@@ -17,7 +17,7 @@ from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-_USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark", "bench")
+_USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark")
 """Commands that load our environments and policies as LeRobot plugins. The others start 3 s faster."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
@@ -34,27 +34,27 @@ class Entry(NamedTuple):
     help: str
 
 
-COMMANDS = {
+FIRST_COMMANDS = {
     "doctor": Entry("doctor:Doctor", "check the installation and the renderer, and print fixes"),
     "collect": Entry("collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
+    "check": Entry("check:Check", "check a dataset, and repair it after a crash"),
+    "keyframes": Entry("keyframes:Keyframes", "convert robot recordings to demonstrations"),
+    "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
+    "push": Entry("push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
+    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
+}
+COMMANDS = FIRST_COMMANDS | {
+    "stats": Entry("stats:Stats", "count episodes, tries, lengths and hidden values of a dataset"),
+    "view": Entry("view:View", "show an episode: cloud, tool path, goals, tries, effort"),
     "replay": Entry("replay:Replay", "replay a recorded episode in the simulator and compare"),
     "render": Entry("render:Render", "add pictures to a dataset that was collected without them"),
-    "check": Entry("check:Check", "check a dataset, and repair it after a crash"),
-    "repair": Entry("check:Repair", "repair a dataset or a recording after a crash"),
-    "keyframes": Entry("keyframes:Keyframes", "convert robot recordings to demonstrations"),
-    "stats": Entry("stats:Stats", "count episodes, tries, lengths and hidden values of a dataset"),
-    "merge": Entry("merge:Merge", "merge datasets into a new one"),
-    "filter": Entry("filter:Filter", "write a dataset with the episodes that fulfil conditions"),
-    "split": Entry("split:Split", "split a dataset into several, by shares or by values"),
-    "view": Entry("view:View", "show an episode: cloud, tool path, goals, tries, effort"),
-    "push": Entry("push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
-    "objects": Entry("objects.command:Objects", "draw a contact sheet of the objects of a category"),
+    "merge": Entry("edit:Merge", "merge datasets into a new one"),
+    "filter": Entry("edit:Filter", "write a dataset with the episodes that fulfil conditions"),
+    "split": Entry("edit:Split", "split a dataset into several, by shares or by values"),
+    "expert": Entry("expert:Expert", "evaluate an expert in the scenes in which policies are evaluated"),
+    "objects": Entry("objects:Objects", "draw a contact sheet of the objects of a category"),
     "annotate": Entry("annotate.command:Annotate", "annotate grasps and joints of external assets in the browser"),
     "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board and the arm"),
-    "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
-    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
-    "expert": Entry("expert:Expert", "evaluate an expert in the scenes in which policies are evaluated"),
-    "bench": Entry("bench:Bench", "measure the speed of collection, simulation, observation, training and action"),
 }
 
 
@@ -67,9 +67,12 @@ class Command(Protocol):
 
 def usage() -> str:
     """Returns the text of `adamanip --help`. Imports no subcommand."""
-    lines = [f"  {name:<{max(map(len, COMMANDS))}}  {entry.help}" for name, entry in COMMANDS.items()]
+    width = max(map(len, COMMANDS))
+    first = [f"  {name:<{width}}  {entry.help}" for name, entry in FIRST_COMMANDS.items()]
+    others = [f"  {name:<{width}}  {COMMANDS[name].help}" for name in COMMANDS if name not in FIRST_COMMANDS]
     head = ["usage: adamanip [-h] [--version] COMMAND [OPTIONS]", "", "commands:"]
-    return "\n".join([*head, *lines, "", "`adamanip COMMAND --help` lists the options."])
+    tail = ["", "`adamanip COMMAND --help` lists the options."]
+    return "\n".join([*head, *first, "", "further commands:", *others, *tail])
 
 
 def load(name: str) -> type[Command]:

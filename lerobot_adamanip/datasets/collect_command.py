@@ -11,8 +11,6 @@ from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, Collectio
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
-_OPTIONS = {"observe_images": "images"}
-"""Field -> its option of `adamanip collect`, if the two differ."""
 PYTHON_ONLY = ("max_key_frames", "hidden_overrides", "workspace")
 """Fields without an option of `adamanip collect`."""
 
@@ -41,12 +39,12 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
 def _flag(name: str, value: object) -> str:
     if value is None:
         return ""
-    option = _OPTIONS.get(name, name).replace("_", "-")
-    if isinstance(value, bool) and not value:
-        return "--no-images" if name == "observe_images" else ""  # other flags are off by default
+    if name == "observe_images":
+        return "" if value else "--no-images"  # --image-size requires images
+    option = f"--{name.replace('_', '-')}"
     if isinstance(value, bool):
-        return f"--{option}"
-    return f"--{option} {value}"
+        return option if value else ""  # flags are off by default
+    return f"{option} {value}"
 
 
 def _objects(spec: CollectionSpec) -> str:

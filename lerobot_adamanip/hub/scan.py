@@ -158,7 +158,7 @@ def _parquet_texts(name: str, path: Path) -> Iterator[str]:
                 yield "\n".join(map(str, values.unique().to_pylist() if _is_text(field.type) else values.to_pylist()))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise DatasetError(
-            "A file cannot be read.", got=f"{name}: {error}", allowed="Parquet", hint="adamanip repair DIR"
+            "A file cannot be read.", got=f"{name}: {error}", allowed="Parquet", hint="adamanip check DIR --repair"
         ) from error
 
 

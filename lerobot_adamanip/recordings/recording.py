@@ -113,7 +113,9 @@ class DenseRecording:
         try:
             tables = [pq.read_table(path, columns=wanted) for path in paths]
         except (OSError, pa.ArrowException) as error:
-            raise _unusable(self.root, str(error), "whole files", f"adamanip repair {self.root.name}") from error
+            raise _unusable(
+                self.root, str(error), "whole files", f"adamanip check {self.root.name} --repair"
+            ) from error
         return pa.concat_tables(tables).sort_by("index")
 
     def episode(self, number: int) -> DenseEpisode:

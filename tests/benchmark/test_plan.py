@@ -97,7 +97,8 @@ def test_collecting_is_a_command_of_ours(name: str) -> None:
     made = parse("collect", [*step.command[2:], *step.non_key_options])
     wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
     assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
-    assert made.images == bool(wanted.image_size)
+    assert made.no_images == (not wanted.image_size)
+    assert (made.image_size or 0) == wanted.image_size
     objects = len(made.spec().objects)
     assert 0 <= made.episodes_per_object * objects - declaration.scale("cpu").demonstrations < objects
     assert not made.root.is_absolute()

@@ -11,9 +11,8 @@ from importlib import metadata
 
 import pytest
 
-from lerobot_adamanip.cli import doctor_checks as checks
-from lerobot_adamanip.cli.doctor import Doctor
-from lerobot_adamanip.cli.doctor_checks import Check
+from lerobot_adamanip.cli import doctor as checks
+from lerobot_adamanip.cli.doctor import Check, Doctor
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_env_adamanip.sim import render_device
 

@@ -44,7 +44,7 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("arguments", "status", "out", "err"),
     [
-        (["--help"], 0, "bench", ""),
+        (["--help"], 0, "benchmark", ""),
         ([], 2, "usage", ""),
         (["--version"], 0, f"adamanip {__version__}\n", ""),
         (["probe"], 0, "", ""),

@@ -13,7 +13,7 @@ from PIL import Image
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
+from lerobot_adamanip.cli.objects import Thumbnail, compose_sheet
 
 
 def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None:
