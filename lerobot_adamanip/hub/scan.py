@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.cards.templates import template_texts
-from lerobot_adamanip.hub.private_addresses import find_addresses
-from lerobot_adamanip.hub.secrets import find_secrets
+from lerobot_adamanip.hub.private_data import find_addresses, find_secrets
 from lerobot_adamanip.util.errors import DatasetError, listed
 from lerobot_adamanip.util.machine_paths import MACHINE_PATH
 
