@@ -8,11 +8,9 @@ from typing import Annotated
 
 import tyro
 
-DEFAULT_SCALE = "cpu"
-
 
 @dataclass
-class Benchmark:
+class BenchmarkCommand:
     """Trains and tests methods per category, and writes a table of their results next to the paper's.
 
     Runs `adamanip collect`, `lerobot-train` and `lerobot-eval`, --jobs at a time, and skips finished work. After

@@ -22,7 +22,7 @@ _STAGES = {"rows": "rows checked", "frames": "frames decoded", "replay": "episod
 
 
 @dataclass
-class Check:
+class CheckCommand:
     """Checks a dataset: files, columns, counts, rows, videos, statistics and collection metadata.
 
     Exit status: 0 without findings or with warnings only, 1 with findings, 2 without a dataset. Only --repair changes

@@ -29,7 +29,7 @@ _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
 
 
 @dataclass
-class Collect:
+class CollectCommand:
     """Records demonstrations of a scripted expert as a LeRobotDataset.
 
     Every finished episode is on disk at once: after Ctrl-C, a crash or a power cut the same command resumes. The same

@@ -75,15 +75,10 @@ def announce(spec: CollectionSpec, workers: int, cluster: str | None, part: str 
         preload(*_WORKER_MODULES)
 
 
-def can_render() -> bool:
-    """Returns whether this machine can render."""
-    from lerobot_env_adamanip.sim.render_device import can_render as probe
-
-    return probe()
-
-
 def require_renderer() -> None:
     """Raises `SimulatorError` if this machine cannot render."""
+    from lerobot_env_adamanip.sim.render_device import can_render
+
     if not can_render():
         raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
 
@@ -100,6 +95,7 @@ def resolve_images(roots: Sequence[Path], required: bool) -> bool:
     """
     from lerobot_adamanip.datasets.collection_spec import CollectionPaths
     from lerobot_adamanip.datasets.manifest import stored_images
+    from lerobot_env_adamanip.sim.render_device import can_render
 
     if required:
         require_renderer()

@@ -45,7 +45,7 @@ MIN_FREE_GB = 5.0
 
 
 @dataclass(frozen=True)
-class Check:
+class CheckResult:
     """Result of one check. Only ``required`` checks determine the exit status."""
 
     name: str
@@ -56,7 +56,7 @@ class Check:
 
 
 @dataclass
-class Doctor:
+class DoctorCommand:
     """Check this machine for everything that the environments, the datasets and the policies need.
 
     Exit status 0 if all required checks pass, 1 if not.
@@ -67,7 +67,7 @@ class Doctor:
 
     def run(self) -> int:
         """Runs all checks. Returns 0 if every required check passes."""
-        out, checks = sys.stdout, list[Check]()
+        out, checks = sys.stdout, list[CheckResult]()
         with contextlib.redirect_stdout(sys.stderr):  # imported packages may print, but stdout is for the result
             for check in run_checks():
                 checks.append(check)
@@ -87,27 +87,27 @@ class Doctor:
         return 0 if ok else 1
 
 
-def check_python() -> Check:
+def check_python() -> CheckResult:
     """Checks the Python version: LeRobot 0.6 needs 3.12."""
     found = ".".join(map(str, sys.version_info[:3]))
-    return Check("Python", sys.version_info >= (3, 12), found, "install Python 3.12 and run make setup")
+    return CheckResult("Python", sys.version_info >= (3, 12), found, "install Python 3.12 and run make setup")
 
 
-def check_account() -> Check:
+def check_account() -> CheckResult:
     """Checks the home folder and the user name."""
     try:
         require_account()
     except ConfigurationError as error:
         what, got, _, hint = (line.partition(":")[2].strip() or line for line in str(error).splitlines())
-        return Check("Account", False, got, f"{what} Try: {hint}. Then run adamanip doctor again")
-    return Check("Account", True, "home folder and user name")
+        return CheckResult("Account", False, got, f"{what} Try: {hint}. Then run adamanip doctor again")
+    return CheckResult("Account", True, "home folder and user name")
 
 
-def check_versions() -> Iterator[Check]:
+def check_versions() -> Iterator[CheckResult]:
     """Checks installed versions against the ranges of this distribution or, if open, of LeRobot."""
     for name, advice in PACKAGES.items():
         ok, found = _version(name)
-        yield Check(name, ok, found, advice)
+        yield CheckResult(name, ok, found, advice)
 
 
 def _version(name: str) -> tuple[bool, str]:
@@ -125,20 +125,24 @@ def _version(name: str) -> tuple[bool, str]:
     return fits, version if fits else f"{version}, wanted {wanted}"
 
 
-def check_opencv() -> Check:
+def check_opencv() -> CheckResult:
     """Checks OpenCV: opencv-python and -headless share a folder, so both need the same version below 4.14."""
     advice = "pip install 'opencv-python==4.13.0.92' 'opencv-python-headless==4.13.0.92' --force-reinstall --no-deps"
     try:
         import cv2
     except ImportError as error:
-        return Check("cv2", False, f"import failed: {error}", f"{advice}; a missing lib*.so comes with {VULKAN_ADVICE}")
+        return CheckResult(
+            "cv2", False, f"import failed: {error}", f"{advice}; a missing lib*.so comes with {VULKAN_ADVICE}"
+        )
     names = ((each.metadata["Name"], each.version) for each in metadata.distributions())
     versions = {name: version for name, version in names if name.startswith("opencv-python")}
     ok = Version(cv2.__version__) < Version("4.14") and len(set(versions.values())) == 1
-    return Check("cv2", ok, f"{cv2.__version__} ({', '.join(f'{k} {v}' for k, v in sorted(versions.items()))})", advice)
+    return CheckResult(
+        "cv2", ok, f"{cv2.__version__} ({', '.join(f'{k} {v}' for k, v in sorted(versions.items()))})", advice
+    )
 
 
-def check_plugin() -> Iterator[Check]:
+def check_plugin() -> Iterator[CheckResult]:
     """Checks that LeRobot's plugin discovery finds the environments and the policies."""
     advice = f"LeRobot finds plugins by distribution name: is {DISTRIBUTION} installed in this Python?"
     try:
@@ -149,7 +153,7 @@ def check_plugin() -> Iterator[Check]:
         importlib.import_module(DISTRIBUTION)  # LeRobot only logs an error here
         register_third_party_plugins()
     except Exception as error:
-        yield Check("LeRobot plugin", False, f"import failed: {type(error).__name__}: {error}", advice)
+        yield CheckResult("LeRobot plugin", False, f"import failed: {type(error).__name__}: {error}", advice)
         return
     for option, wanted, choices in (
         ("--env.type", ENV_TYPES, EnvConfig.get_known_choices()),
@@ -157,7 +161,7 @@ def check_plugin() -> Iterator[Check]:
     ):
         missing = [name for name in wanted if name not in choices]
         found = f"not registered: {', '.join(missing)}" if missing else ", ".join(wanted)
-        yield Check(f"LeRobot {option}", not missing, found, advice)
+        yield CheckResult(f"LeRobot {option}", not missing, found, advice)
 
 
 def run_probe(module: str) -> tuple[bool, str]:
@@ -173,7 +177,7 @@ def run_probe(module: str) -> tuple[bool, str]:
     return done.returncode == 0, lines[-1] if lines else "no output"
 
 
-def check_clouds() -> Check:
+def check_clouds() -> CheckResult:
     """Checks that a ray hits a triangle. Ray-cast clouds need no Vulkan device."""
     advice = f"{INSTALL_SIM}. Without embreex clouds are rendered, ten times slower and by a Vulkan device only"
     try:
@@ -181,17 +185,17 @@ def check_clouds() -> Check:
         from embreex.mesh_construction import TriangleMesh
         from embreex.rtcore_scene import EmbreeScene
     except ImportError as error:
-        return Check("Ray-cast clouds", False, f"import failed: {error}", advice)
+        return CheckResult("Ray-cast clouds", False, f"import failed: {error}", advice)
     scene = EmbreeScene(robust=True)
     TriangleMesh(scene, np.array([[[-1, -1, 2], [1, -1, 2], [0, 1, 2]]], np.float32))
     origin, direction = np.zeros((1, 3), np.float32), np.array([[0, 0, 1]], np.float32)
     distance = float(scene.run(origin, direction, query="DISTANCE")[0])
     ok = abs(distance - 2.0) < 1e-6
     found = f"embreex {metadata.version('embreex')}" if ok else f"2 m is {distance}"
-    return Check("Ray-cast clouds", ok, found, advice)
+    return CheckResult("Ray-cast clouds", ok, found, advice)
 
 
-def check_rendering() -> Check:
+def check_rendering() -> CheckResult:
     """Checks that SAPIEN renders a frame. Only pictures need it."""
     from lerobot_env_adamanip.sim.render_device import vulkan_drivers
 
@@ -203,7 +207,7 @@ def check_rendering() -> Check:
         + VULKAN_ADVICE
         + (f". Set here: {', '.join(chosen)}" if chosen else "")
     )
-    return Check(
+    return CheckResult(
         "SAPIEN renders",
         ok,
         f"on {answer}" if ok else f"{answer}; Vulkan drivers installed: {drivers}",
@@ -212,64 +216,68 @@ def check_rendering() -> Check:
     )
 
 
-def check_render_backend() -> Check:
+def check_render_backend() -> CheckResult:
     """Checks the device of `--env.render_backend=auto`."""
     from lerobot_env_adamanip.sim.render_device import can_render, resolve_render_backend
 
     if not can_render():
         found = "none: no pictures here; evaluation videos are drawn without rendering"
-        return Check("Render backend", False, found, "see the check SAPIEN renders", required=False)
-    return Check("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
+        return CheckResult("Render backend", False, found, "see the check SAPIEN renders", required=False)
+    return CheckResult("Render backend", True, f"auto is {resolve_render_backend()}", required=False)
 
 
-def check_franka() -> Check:
+def check_franka() -> CheckResult:
     """Checks the driver of a real arm, without importing it, and the kernel."""
     advice = "pip install 'lerobot_env_adamanip[franka]'; for older arms another wheel: docs/robot.md"
     ok, version = _version("franky-control")
     realtime = Path("/sys/kernel/realtime").is_file()
     kernel = "real-time kernel" if realtime else "no real-time kernel, which a real arm needs"
-    return Check("Real Franka", ok, f"franky-control {version}; {kernel}", advice, required=False)
+    return CheckResult("Real Franka", ok, f"franky-control {version}; {kernel}", advice, required=False)
 
 
-def check_cuda() -> Check:
+def check_cuda() -> CheckResult:
     """Checks for a GPU for training."""
     import torch
 
     advice = "training on a CPU works for small policies; the paper's policy takes days"
     if not torch.cuda.is_available():
-        return Check("CUDA", False, "no GPU that torch can use", advice, required=False)
-    return Check("CUDA", True, f"{torch.cuda.get_device_name()} (CUDA {torch.version.cuda})", advice, required=False)
+        return CheckResult("CUDA", False, "no GPU that torch can use", advice, required=False)
+    return CheckResult(
+        "CUDA", True, f"{torch.cuda.get_device_name()} (CUDA {torch.version.cuda})", advice, required=False
+    )
 
 
-def check_video() -> Check:
+def check_video_codecs() -> CheckResult:
     """Checks that a short video is encoded and decoded as in LeRobotDataset."""
     ok, answer = run_probe("lerobot_adamanip.cli.video_probe")
     advice = (
         "pip install --force-reinstall --no-deps av==15.1.0; torchcodec (optional) needs FFmpeg: apt-get install ffmpeg"
     )
-    return Check("Video", ok, answer, advice)
+    return CheckResult("Video", ok, answer, advice)
 
 
-def check_hub_cache() -> Check:
+def check_hub_cache() -> CheckResult:
     """Checks that the Hugging Face cache, where LeRobot writes datasets and models, is writable."""
     from huggingface_hub.constants import HF_HOME
 
     try:
         Path(HF_HOME).mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=HF_HOME):
-            return Check("Hugging Face cache", True, "writable")
+            return CheckResult("Hugging Face cache", True, "writable")
     except OSError as error:
-        return Check("Hugging Face cache", False, str(error), "make it writable, or set HF_HOME to a writable folder")
+        return CheckResult(
+            "Hugging Face cache", False, str(error), "make it writable, or set HF_HOME to a writable folder"
+        )
 
 
-def check_disk() -> Check:
+def check_disk() -> CheckResult:
     """Checks free space in the working directory."""
     free_gb = shutil.disk_usage(Path.cwd()).free / 1e9
     advice = f"free some space: datasets and checkpoints need {MIN_FREE_GB:.0f} GB"
-    return Check("Free disk", free_gb >= MIN_FREE_GB, f"{free_gb:.0f} GB", advice, required=False)
+    return CheckResult("Free disk", free_gb >= MIN_FREE_GB, f"{free_gb:.0f} GB", advice, required=False)
 
 
-CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
+CHECKS: tuple[Callable[[], CheckResult | Iterator[CheckResult]], ...] = (
     check_python,
     check_account,
     check_versions,
@@ -280,20 +288,20 @@ CHECKS: tuple[Callable[[], Check | Iterator[Check]], ...] = (
     check_render_backend,
     check_franka,
     check_cuda,
-    check_video,
+    check_video_codecs,
     check_hub_cache,
     check_disk,
 )
 
 
-def run_checks() -> Iterator[Check]:
+def run_checks() -> Iterator[CheckResult]:
     """Runs all checks in order. A check that raises counts as failed. Without an account, the others would mislead."""
     for check in CHECKS:
         try:
             result = check()
-            yield from [result] if isinstance(result, Check) else result
-            if check is check_account and not cast(Check, result).ok:
+            yield from [result] if isinstance(result, CheckResult) else result
+            if check is check_account and not cast(CheckResult, result).ok:
                 return
         except Exception as error:
             name = check.__name__.removeprefix("check_")
-            yield Check(name, False, f"{type(error).__name__}: {error}", "see the message")
+            yield CheckResult(name, False, f"{type(error).__name__}: {error}", "see the message")

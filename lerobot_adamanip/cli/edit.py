@@ -14,7 +14,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @dataclass
-class Merge:
+class MergeCommand:
     """Writes one dataset with the episodes of several, e.g. demonstrations and corrections, or several categories.
 
     Rows, pictures and episode columns stay unchanged. Parts of a split dataset return to their original order, and all
@@ -49,7 +49,7 @@ class Merge:
 
 
 @dataclass
-class Filter:
+class FilterCommand:
     """Writes a dataset with the episodes of another dataset that fulfil all conditions.
 
     A condition compares an episode column: failed_tries>=1, recoveries>0, success=true, late=false, key_frames<=30,
@@ -86,7 +86,7 @@ class Filter:
 
 
 @dataclass
-class Split:
+class SplitCommand:
     """Splits the episodes of a dataset into several datasets. `adamanip merge` of all parts restores the dataset.
 
     With --by object_id, no object is in two parts. With --by and without --parts, each value gets its own part. Columns

@@ -22,7 +22,7 @@ _USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchma
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
-class Entry(NamedTuple):
+class CommandEntry(NamedTuple):
     """A subcommand: a class of `lerobot_adamanip.cli`, imported on call, and its help text.
 
     Attributes:
@@ -35,26 +35,32 @@ class Entry(NamedTuple):
 
 
 FIRST_COMMANDS = {
-    "doctor": Entry("doctor:Doctor", "check the installation and the renderer, and print fixes"),
-    "collect": Entry("collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
-    "check": Entry("check:Check", "check a dataset, and repair it after a crash"),
-    "keyframes": Entry("keyframes:Keyframes", "convert robot recordings to demonstrations"),
-    "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
-    "push": Entry("push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
-    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
+    "doctor": CommandEntry("doctor:DoctorCommand", "check the installation and the renderer, and print fixes"),
+    "collect": CommandEntry("collect:CollectCommand", "record demonstrations of an expert as a LeRobotDataset"),
+    "check": CommandEntry("check:CheckCommand", "check a dataset, and repair it after a crash"),
+    "keyframes": CommandEntry("keyframes:KeyframesCommand", "convert robot recordings to demonstrations"),
+    "report": CommandEntry(
+        "report:ReportCommand", "report success rates with intervals, tries and plots of an evaluation"
+    ),
+    "push": CommandEntry("push:PushCommand", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
+    "benchmark": CommandEntry(
+        "benchmark:BenchmarkCommand", "train and evaluate methods, and compare them with the paper"
+    ),
 }
 COMMANDS = FIRST_COMMANDS | {
-    "stats": Entry("stats:Stats", "count episodes, tries, lengths and hidden values of a dataset"),
-    "view": Entry("view:View", "show an episode: cloud, tool path, goals, tries, effort"),
-    "replay": Entry("replay:Replay", "replay a recorded episode in the simulator and compare"),
-    "render": Entry("render:Render", "add pictures to a dataset that was collected without them"),
-    "merge": Entry("edit:Merge", "merge datasets into a new one"),
-    "filter": Entry("edit:Filter", "write a dataset with the episodes that fulfil conditions"),
-    "split": Entry("edit:Split", "split a dataset into several, by shares or by values"),
-    "expert": Entry("expert:Expert", "evaluate an expert in the scenes in which policies are evaluated"),
-    "objects": Entry("objects:Objects", "draw a contact sheet of the objects of a category"),
-    "annotate": Entry("annotate.command:Annotate", "annotate grasps and joints of external assets in the browser"),
-    "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board and the arm"),
+    "stats": CommandEntry("stats:StatsCommand", "count episodes, tries, lengths and hidden values of a dataset"),
+    "view": CommandEntry("view:ViewCommand", "show an episode: cloud, tool path, goals, tries, effort"),
+    "replay": CommandEntry("replay:ReplayCommand", "replay a recorded episode in the simulator and compare"),
+    "render": CommandEntry("render:RenderCommand", "add pictures to a dataset that was collected without them"),
+    "merge": CommandEntry("edit:MergeCommand", "merge datasets into a new one"),
+    "filter": CommandEntry("edit:FilterCommand", "write a dataset with the episodes that fulfil conditions"),
+    "split": CommandEntry("edit:SplitCommand", "split a dataset into several, by shares or by values"),
+    "expert": CommandEntry("expert:ExpertCommand", "evaluate an expert in the scenes in which policies are evaluated"),
+    "objects": CommandEntry("objects:ObjectsCommand", "draw a contact sheet of the objects of a category"),
+    "annotate": CommandEntry(
+        "annotate.command:AnnotateCommand", "annotate grasps and joints of external assets in the browser"
+    ),
+    "calibrate": CommandEntry("calibrate:CalibrateCommand", "calibrate a camera's pose with a board and the arm"),
 }
 
 
@@ -104,7 +110,7 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> AdaManipError:
     return ConfigurationError(what, got=got, allowed="a complete installation", hint=hint)
 
 
-def parse(name: str, options: Sequence[str]) -> Any:
+def parse_command(name: str, options: Sequence[str]) -> Any:
     """Returns a subcommand with its options. Exits after ``--help``; raises `ConfigurationError` for wrong options."""
     command = load(name)
     check_options(name, command, options)
@@ -122,7 +128,7 @@ def parse(name: str, options: Sequence[str]) -> Any:
 
 def execute(name: str, options: Sequence[str]) -> int:
     """Parses the options of a subcommand, runs it, and returns its exit status."""
-    command = parse(name, options)
+    command = parse_command(name, options)
     if name != "doctor":  # which reports it as a check
         require_account()
     try:
@@ -134,7 +140,7 @@ def execute(name: str, options: Sequence[str]) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point.
+    """CommandEntry point.
 
     Returns:
         0 on success, 1 for a negative result of the command, 2 for a usage or setup error, 130 if interrupted.

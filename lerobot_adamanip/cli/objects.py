@@ -32,7 +32,7 @@ _PAPER, _INK, _PENCIL = (250, 250, 250), (25, 25, 28), (105, 105, 110)
 
 
 @dataclass
-class Objects:
+class ObjectsCommand:
     """Lists the objects of a category and draws a contact sheet with one picture per object, every second one ajar.
 
     With --assets, it checks a folder of external assets: lists the usable ones and the problems of the others.
@@ -77,7 +77,7 @@ class Objects:
         if self.out is not None and chosen:
             compose_sheet(self._thumbnails(chosen), columns=self.columns, path=self.out)
         refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
-        values = {"category": self.category, "objects": [to_json(obj) for obj in chosen], "unusable": refused}
+        values = {"category": self.category, "objects": [object_json(obj) for obj in chosen], "unusable": refused}
         print_result(self.json, {**values, "out": self.out}, "\n".join(self._lines(chosen, unusable)))
         return 0
 
@@ -133,7 +133,7 @@ def checked_source(assets: Path) -> AssetSource:
         return AssetSource(assets)
 
 
-def to_json(obj: ArticulatedObject) -> dict[str, Any]:
+def object_json(obj: ArticulatedObject) -> dict[str, Any]:
     """Returns an object as JSON-able data: id, split, size [m], description, parts and joints."""
     from lerobot_adamanip.catalog import object_split
 

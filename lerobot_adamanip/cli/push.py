@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Push:
+class PushCommand:
     """Publishes a dataset, a policy or the environments with a card generated from their content.
 
     Checks the files, creates the repository, uploads, and moves the version tag. After an interruption, the same

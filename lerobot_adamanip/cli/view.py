@@ -11,7 +11,7 @@ from lerobot_adamanip.cli.arguments import DatasetFolder, require_suffix
 
 
 @dataclass
-class View:
+class ViewCommand:
     """Draws an episode or writes it for rerun: cloud, tool path, goals, tries, phases, effort and pictures, if any.
 
     rerun comes with lerobot[viz]. No display is needed.

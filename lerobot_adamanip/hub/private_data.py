@@ -5,19 +5,18 @@ from __future__ import annotations
 import ipaddress
 import re
 from collections.abc import Iterator
+from typing import Any
 
 from detect_secrets.core.plugins.initialize import from_plugin_classname
 
-_DETECTORS = [
-    from_plugin_classname(name)
-    for name in (
-        "AWSKeyDetector", "AzureStorageKeyDetector", "BasicAuthDetector", "DiscordBotTokenDetector",
-        "GitHubTokenDetector", "GitLabTokenDetector", "JwtTokenDetector", "NpmDetector", "PrivateKeyDetector",
-        "PypiTokenDetector", "SendGridDetector", "SlackDetector", "SquareOAuthDetector", "StripeDetector",
-        "TelegramBotTokenDetector", "TwilioKeyDetector",
-    )
-]  # fmt: skip
+_PLUGINS = (
+    "AWSKeyDetector", "AzureStorageKeyDetector", "BasicAuthDetector", "DiscordBotTokenDetector", "GitHubTokenDetector",
+    "GitLabTokenDetector", "JwtTokenDetector", "NpmDetector", "PrivateKeyDetector", "PypiTokenDetector",
+    "SendGridDetector", "SlackDetector", "SquareOAuthDetector", "StripeDetector", "TelegramBotTokenDetector",
+    "TwilioKeyDetector",
+)  # fmt: skip
 """Detectors whose patterns match nothing else. Those by entropy or by words would match hashes of files and commits."""
+_DETECTORS: tuple[Any, ...] = tuple(map(from_plugin_classname, _PLUGINS))
 _NAME = r"(?:api|access|secret|private|auth|client|wandb|hf|hub)[_-]?(?:key|token|secret)|passw(?:or)?d|passphrase"
 _NO_VALUE = r"(?:os\.|environ|none|null|true|false|your|example|x{4}|\*{4})"
 _OWN = {

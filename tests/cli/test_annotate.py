@@ -123,9 +123,9 @@ def test_mistakes_are_one_message(
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from lerobot_adamanip.cli.annotate.command import start_server
+    from lerobot_adamanip.cli.annotate.command import start_viser
 
-    made = start_server("127.0.0.1", 18080)
+    made = start_viser("127.0.0.1", 18080)
     yield made
     made.stop()
 
