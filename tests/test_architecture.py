@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import functools
-import importlib
 import json
 import re
 import subprocess
@@ -13,10 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import grimp
-import pytest
-
-from lerobot_adamanip import AdaManipError
-from lerobot_adamanip.util import errors
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"
@@ -160,12 +155,6 @@ assert not [hook for hook in hooks if hook.__module__.startswith("lerobot_adaman
 
 def test_importing_the_core_changes_nothing_of_the_process() -> None:
     subprocess.run([sys.executable, "-c", SIDE_EFFECTS], check=True)
-
-
-def test_other_missing_modules_are_reported_as_ever() -> None:
-    assert AdaManipError is errors.AdaManipError
-    with pytest.raises(ModuleNotFoundError, match=re.escape("No module named 'lerobot_adamanip.schemas'")):
-        importlib.import_module("lerobot_adamanip.schemas")
 
 
 # Names ------------------------------------------------------------------------------------------------------------

@@ -44,23 +44,6 @@ def test_a_folder_of_external_assets_is_checked(
     assert "bottle:b1" in text
     assert "safe:sa2  cannot be used" in text
     assert "2 usable, 2 not" in text
-    assert cli.main(["objects", "--assets", str(tmp_path / "nowhere")]) == 2
-    assert "does not exist" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--category", "teapot"], "category"),
-        (["--objects", "4:4"], "Wrong selection"),
-        (["--columns", "0"], "cannot be drawn"),
-        (["--size", "5"], "cannot be drawn"),
-        (["--out", "sheet.txt"], "Unknown kind of file"),
-    ],
-)
-def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["objects", *arguments]) == 2
-    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("count", "columns"), [(1, 9), (5, 2), (6, 3)])
