@@ -74,7 +74,7 @@ release: .venv/.simulates  ## build wheel and source archive in dist/, test them
 	$(BIN)/python scripts/smoke_test_release.py dist --share-packages
 
 bench: pictures  ## measure speed on this machine
-	$(BIN)/adamanip bench
+	$(BIN)/python scripts/bench.py
 
 publish: .venv/.simulates  ## publish nine policies, their data and the environments: make publish USER=you [ARGS=--dry-run]
 	$(if $(filter command,$(origin USER)),,$(error the user of the Hub is missing: make publish USER=you))

@@ -24,8 +24,8 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 COMMAND_PAGES, ENVIRONMENTS = ROOT / "docs" / "command_line", ROOT / "docs" / "environments.md"
 GROUPS = {
     "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes")),
-    "datasets": ("Work with datasets", ("check", "repair", "stats", "view", "merge", "filter", "split", "push")),
-    "evaluate": ("Evaluate and compare", ("report", "benchmark", "expert", "bench")),
+    "datasets": ("Work with datasets", ("check", "stats", "view", "merge", "filter", "split", "push")),
+    "evaluate": ("Evaluate and compare", ("report", "benchmark", "expert")),
     "setup": ("Objects, cameras, installation", ("doctor", "objects", "annotate", "calibrate")),
 }
 IN_PYTHON = {

@@ -24,7 +24,7 @@ from check_common import list_of
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, FOLDERS, MERGE, TRAIN, last_checkpoint
 from lerobot_adamanip.benchmark.result import CellResult, read_cell
-from lerobot_adamanip.cli.push import Push
+from lerobot_adamanip.cli.push import PushCommand
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, write_result
@@ -63,7 +63,7 @@ def result_file(cell: CellResult) -> ResultFile:
     )
 
 
-def publications(options: argparse.Namespace, scratch: Path) -> Iterator[Push]:
+def publications(options: argparse.Namespace, scratch: Path) -> Iterator[PushCommand]:
     """Yields what is to be published; writes the results of the cards into ``scratch``."""
     shared = {"private": options.private, "dry_run": options.dry_run}
     for category in options.categories:
@@ -75,13 +75,13 @@ def publications(options: argparse.Namespace, scratch: Path) -> Iterator[Push]:
             for name in (data, training)
         }
         dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in ("adamanip", options.name))
-        yield Push("dataset", dataset, folders[data], **shared)
+        yield PushCommand("dataset", dataset, folders[data], **shared)
         files = []
         for cell in cells:
             files.append(scratch / f"{cell.cell.name}.json")
             write_result(files[-1], result_file(cell))
-        yield Push("model", model, last_checkpoint(folders[training]), tuple(files), dataset=dataset, **shared)
-    yield Push("environment", f"{options.user}/adamanip", **shared)
+        yield PushCommand("model", model, last_checkpoint(folders[training]), tuple(files), dataset=dataset, **shared)
+    yield PushCommand("environment", f"{options.user}/adamanip", **shared)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import ast
 import functools
-import importlib
 import json
 import re
 import subprocess
@@ -13,10 +12,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import grimp
-import pytest
-
-from lerobot_adamanip import AdaManipError
-from lerobot_adamanip.util import errors
 
 ROOT = Path(__file__).resolve().parents[1]
 CORE = "lerobot_adamanip"
@@ -162,10 +157,26 @@ def test_importing_the_core_changes_nothing_of_the_process() -> None:
     subprocess.run([sys.executable, "-c", SIDE_EFFECTS], check=True)
 
 
-def test_other_missing_modules_are_reported_as_ever() -> None:
-    assert AdaManipError is errors.AdaManipError
-    with pytest.raises(ModuleNotFoundError, match=re.escape("No module named 'lerobot_adamanip.schemas'")):
-        importlib.import_module("lerobot_adamanip.schemas")
+# Names ------------------------------------------------------------------------------------------------------------
+
+FAMILIES = ("lerobot_adamanip.objects.", "lerobot_adamanip.experts.")
+"""Folders whose modules have one interface: the same functions for each category."""
+DEFINED_TWICE = {
+    "main", "apply", "restore", "count", "add", "encode", "decode", "to_json", "Try", "Demonstrations", "angle_between",
+    "matrix_from_rotation_vector", "camera_of", "check_videos", "distance", "in_order", "placement_check", "pose_error",
+}  # fmt: skip
+"""Public names with two meanings. The list only gets shorter."""
+
+
+def test_one_name_has_one_meaning() -> None:
+    """A public class or function is defined once over all packages."""
+    places: dict[str, list[str]] = {}
+    for module, (_, _, tree) in sources().items():
+        for node in tree.body:
+            if isinstance(node, ast.FunctionDef | ast.ClassDef) and not f"{module}.".startswith(FAMILIES):
+                places.setdefault(node.name, []).append(module)
+    twice = {name: modules for name, modules in places.items() if len(modules) > 1 and not name.startswith("_")}
+    assert {name: modules for name, modules in twice.items() if name not in DEFINED_TWICE} == {}
 
 
 # Lengths ----------------------------------------------------------------------------------------------------------

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_adamanip.cli.main import COMMANDS
-from lerobot_adamanip.hub.secrets import find_secrets
+from lerobot_adamanip.hub.private_data import find_secrets
 from lerobot_adamanip.util.machine_paths import MACHINE_PATH
 
 ROOT = Path(__file__).resolve().parents[1]

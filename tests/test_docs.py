@@ -15,7 +15,7 @@ import pytest
 from doc_data import collect_fake_demos, write_asset_safe
 from documents import DOCUMENTS, ROOT, Block, blocks, commands
 
-from lerobot_adamanip.cli.main import parse
+from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.experts import Outcome, Phase
 
@@ -43,7 +43,7 @@ def test_documents_hold_what_is_tested_here() -> None:
 
 @pytest.mark.parametrize("words", commands("adamanip"))
 def test_adamanip_commands_parse(words: list[str]) -> None:
-    parse(words[1], words[2:])
+    parse_command(words[1], words[2:])
 
 
 DOWNLOADED = {"lerobot/smolvla_base": "smolvla", "lerobot/pi0_base": "pi0"}

@@ -5,8 +5,6 @@ from __future__ import annotations
 import inspect
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from lerobot_adamanip.util import errors
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, require_choice
@@ -15,21 +13,9 @@ KINDS = [kind for _, kind in inspect.getmembers(errors, inspect.isclass) if issu
 
 
 @pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
-def test_every_error_is_of_the_project_s_family(kind: type[Exception]) -> None:
+def test_every_error_is_of_the_project_s_family_and_of_a_kind_of_python_s(kind: type[Exception]) -> None:
     assert issubclass(kind, AdaManipError)
-    assert inspect.getdoc(kind)
-
-
-@pytest.mark.parametrize(
-    ("name", "builtin"),
-    [
-        ("ConfigurationError", ValueError), ("DatasetError", RuntimeError), ("SimulatorError", RuntimeError),
-        ("UnreachableError", RuntimeError),
-    ],
-)  # fmt: skip
-def test_who_does_not_know_the_project_catches_python_s_own_kinds(name: str, builtin: type[Exception]) -> None:
-    with pytest.raises(builtin, match="no luck"):
-        raise getattr(errors, name)("no luck")
+    assert kind is AdaManipError or issubclass(kind, ValueError if kind is ConfigurationError else RuntimeError)
 
 
 def test_an_explanation_carries_its_four_facts_in_order() -> None:
@@ -42,17 +28,11 @@ def test_an_explanation_carries_its_four_facts_in_order() -> None:
     ]
 
 
-@given(st.lists(st.text(min_size=1), min_size=1, unique=True), st.data())
-@settings(max_examples=40, deadline=None)
-def test_a_choice_is_returned_as_it_is(choices: list[str], data: st.DataObject) -> None:
-    chosen = data.draw(st.sampled_from(choices))
-    assert require_choice("colour", chosen, iter(choices)) == chosen
-
-
 @pytest.mark.parametrize("got", ["", "Red", " red", "gre", "red, green"])
 def test_no_choice_is_refused_with_all_that_are(got: str) -> None:
     with pytest.raises(ConfigurationError) as caught:
         require_choice("colour", got, ["red", "green"])
+    assert require_choice("colour", "red", iter(["red", "green"])) == "red"
     message = str(caught.value)
     assert message.startswith("Unknown colour.")
     assert repr(got) in message

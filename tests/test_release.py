@@ -14,7 +14,6 @@ WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
 FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
 VERSION = re.compile(r"[\w.-]+/[\w.-]+@(v\d+\.\d+\.\d+|[0-9a-f]{40})")
 TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
-INPUTS = {"input", "textarea", "dropdown", "checkboxes"}
 
 
 def read(path: Path) -> dict[Any, Any]:
@@ -84,29 +83,6 @@ def test_a_release_uploads_what_was_tried_and_by_tag_alone() -> None:
     assert names == {"dist"}
     assert '--tag "$TAG"' in commands(release)
     assert tried["strategy"]["matrix"]["extras"] == ["", "sim"]
-
-
-@pytest.mark.parametrize("path", FORMS, ids=lambda p: p.name)
-def test_an_issue_form_is_one(path: Path) -> None:
-    form = read(path)
-    assert all(isinstance(form[key], str) and form[key] for key in ("name", "description"))
-    fields = [field for field in form["body"] if field["type"] in INPUTS]
-    assert len(fields) + sum(field["type"] == "markdown" for field in form["body"]) == len(form["body"])
-    names = [field["id"] for field in fields]
-    assert len(set(names)) == len(names)
-    assert all(re.fullmatch(r"[\w-]+", name) for name in names)
-    assert all(field["attributes"]["label"] for field in fields)
-    assert any(field.get("validations", {}).get("required") for field in fields)
-    for field in fields:
-        for option in field["attributes"].get("options", []):
-            assert isinstance(option["label"] if field["type"] == "checkboxes" else option, str)
-
-
-def test_there_are_forms_for_what_is_reported() -> None:
-    assert [path.stem for path in FORMS] == ["bug", "category", "hardware", "method"]
-    bug = {field["id"]: field for field in read(FORMS[0])["body"] if "id" in field}
-    assert bug["doctor"]["attributes"]["label"] == "adamanip doctor --json"
-    assert bug["doctor"]["validations"]["required"]
 
 
 def test_files_that_templates_name_exist() -> None:

@@ -30,7 +30,7 @@ def annotate_hint(path: Path, category: str) -> str:
 
 
 @functools.cache
-def warn_once(text: str) -> None:
+def warn_once_about_asset(text: str) -> None:
     """Logs a warning once, although objects are loaded repeatedly."""
     logger.warning("%s", text)
 

@@ -44,10 +44,10 @@ def convert_asset(folder: Path, category: str, solid: bool = True) -> Articulate
     """Reads a folder and builds its object; ``solid`` adds collision shapes, which may be slow."""
     urdf = read_urdf(folder / URDF_NAME)
     annotation = find_annotation(urdf, category)
-    return assemble(urdf, annotation, posed(urdf, annotation), solid=solid)
+    return assemble_object(urdf, annotation, posed(urdf, annotation), solid=solid)
 
 
-def assemble(
+def assemble_object(
     urdf: Urdf, annotation: Annotation, found: Posed, *, solid: bool = True, checked: bool = True
 ) -> ArticulatedObject:
     """Returns the object of an annotated URDF.
@@ -62,7 +62,7 @@ def assemble(
     Raises:
         ConfigurationError: joints, or, if checked, parts, sizes or ranges do not fit the category.
     """
-    check_joints(urdf, annotation)
+    check_joint_roles(urdf, annotation)
     if checked:
         check_meshes(found, annotation)
     to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
@@ -81,7 +81,7 @@ def assemble(
     return obj
 
 
-def check_joints(urdf: Urdf, annotation: Annotation) -> None:
+def check_joint_roles(urdf: Urdf, annotation: Annotation) -> None:
     """Raises `ConfigurationError` unless each role has its own joint of the right type."""
     roles, by_name = ROLES[annotation.category], {joint.name: joint for joint in urdf.moving}
     chosen = [annotation.joints[role.name].joint for role in roles.joints]
@@ -105,7 +105,7 @@ class _Assembly:
         to_object: (4, 4) transform from the URDF's root frame to the object frame.
         leaders: link -> link that it is rigidly attached to.
         origins: link -> origin (3,) at rest, in the object frame.
-        solid, checked: see `assemble`.
+        solid, checked: see `assemble_object`.
     """
 
     urdf: Urdf

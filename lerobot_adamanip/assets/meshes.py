@@ -174,7 +174,7 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
     """Returns the vertices of CoACD's parts, cached between runs; empty if CoACD is missing or fails."""
     vertices, faces = np.ascontiguousarray(mesh.vertices, np.float64), np.ascontiguousarray(mesh.faces, np.int64)
     digest = hashlib.sha256(vertices.tobytes() + faces.tobytes() + f"{COACD_OPTIONS}".encode()).hexdigest()[:32]
-    path = cache_folder() / f"{digest}.npz"
+    path = convex_cache_folder() / f"{digest}.npz"
     try:
         with np.load(path, allow_pickle=False) as stored:
             return [np.asarray(stored[key]) for key in stored.files]
@@ -205,7 +205,7 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
     return found
 
 
-def cache_folder() -> Path:
+def convex_cache_folder() -> Path:
     """Returns the folder of cached convex parts."""
     base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
     return Path(base) / "lerobot_adamanip" / "convex"

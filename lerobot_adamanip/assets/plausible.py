@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, PartChoice
-from lerobot_adamanip.assets.checked_xml import annotate_hint, broken, warn_once
+from lerobot_adamanip.assets.checked_xml import annotate_hint, broken, warn_once_about_asset
 from lerobot_adamanip.assets.kinematics import Posed, groups, object_frame
 from lerobot_adamanip.assets.meshes import Surface
 from lerobot_adamanip.assets.paths import missing_file
@@ -41,10 +41,12 @@ def tell_left_out(found: Posed) -> None:
     """Warns once about missing meshes and about mimic joints, which do not move here."""
     path, followers = found.urdf.path, [joint for joint in found.urdf.moving if joint.mimic is not None]
     if names := left_out(found):
-        warn_once(f"{path}: names files that are missing, which are left out: {names}")
+        warn_once_about_asset(f"{path}: names files that are missing, which are left out: {names}")
     for joint in followers:
         assert joint.mimic is not None
-        warn_once(f"{path}: joint {joint.name!r} follows {joint.mimic.leader!r} (mimic); here it stands still")
+        warn_once_about_asset(
+            f"{path}: joint {joint.name!r} follows {joint.mimic.leader!r} (mimic); here it stands still"
+        )
 
 
 def _require_meshes(found: Posed, annotation: Annotation) -> None:

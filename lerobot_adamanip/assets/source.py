@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lerobot_adamanip.assets.annotation.file import ANNOTATION_NAME
-from lerobot_adamanip.assets.checked_xml import warn_once
+from lerobot_adamanip.assets.checked_xml import warn_once_about_asset
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import URDF_NAME
 from lerobot_adamanip.objects.base import ArticulatedObject
@@ -223,7 +223,7 @@ class AssetSource:
             )
         if listed:
             left_out = f"{len(reports) - len(usable)} of {len(reports)} external assets are left out"
-            warn_once(f"{left_out} ({check}):\n{listed}")
+            warn_once_about_asset(f"{left_out} ({check}):\n{listed}")
         return usable
 
 

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml, warn_once
+from lerobot_adamanip.assets.checked_xml import broken, numbers, parse_xml, warn_once_about_asset
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import Pose
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -140,7 +140,7 @@ def _color(path: Path, element: Any) -> tuple[float, float, float] | None:
     try:
         values = numbers(path, written, 4 if len(written.split()) == 4 else 3, "a colour")
     except ConfigurationError:
-        warn_once(f"{path}: colour {written[:80]!r} left out: not 3 or 4 numbers")
+        warn_once_about_asset(f"{path}: colour {written[:80]!r} left out: not 3 or 4 numbers")
         return None
     # Files contain sRGB colours; shaders use linear ones.
     red, green, blue = np.clip(values[:3], 0, 1) ** 2.2

@@ -205,11 +205,9 @@ def _recording(
         f"--mechanism-rules={wanted.mechanism_rules}",
         _COLLECTED,
     )
-    # Attempts end with the first success, so a higher limit changes no dataset. Requiring images does not either: the
-    # step fails at once where rendering is impossible.
-    required = ("--images",) if wanted.image_size else ()
+    # Attempts end with the first success, so a higher limit changes no dataset.
     decides = f"{versions.episodes}, {DATA} {versions.data}"
-    return _step(kind, command, decides, (f"--max-attempts={_ATTEMPTS}", *required), needs)
+    return _step(kind, command, decides, (f"--max-attempts={_ATTEMPTS}",), needs)
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:

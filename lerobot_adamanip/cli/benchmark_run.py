@@ -10,7 +10,7 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
@@ -23,7 +23,6 @@ from lerobot_adamanip.benchmark.report_plots import plot_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
 from lerobot_adamanip.benchmark.result import read_cells
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
-from lerobot_adamanip.cli.benchmark_options import DEFAULT_SCALE, BenchmarkOptions
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
@@ -33,10 +32,14 @@ from lerobot_adamanip.evaluation.text_format import counted, interval_text
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
 
+if TYPE_CHECKING:
+    from lerobot_adamanip.cli.benchmark import BenchmarkCommand
+
+DEFAULT_SCALE = "cpu"
 EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
-def run_benchmark(options: BenchmarkOptions) -> int:
+def run_benchmark(options: BenchmarkCommand) -> int:
     """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
     declaration = read_declaration(options.config) if options.config else with_packages(read_declaration(PAPER_TABLE))
     scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
@@ -56,7 +59,7 @@ def run_benchmark(options: BenchmarkOptions) -> int:
     return 1 if any(each.state == FAILED for each in states) else 0
 
 
-def _check(options: BenchmarkOptions, cells: int, *, is_chosen: bool) -> None:
+def _check(options: BenchmarkCommand, cells: int, *, is_chosen: bool) -> None:
     if not is_chosen:
         raise ConfigurationError(
             f"Nothing was chosen, and scale {DEFAULT_SCALE} has {cells} cells: about a day on two cores.",
@@ -72,7 +75,7 @@ def _check(options: BenchmarkOptions, cells: int, *, is_chosen: bool) -> None:
         raise ConfigurationError("Not a number of jobs.", got=options.jobs, allowed="1 or more", hint="--jobs 2")
 
 
-def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
+def _selection(options: BenchmarkCommand) -> dict[str, tuple[Any, ...]]:
     seeds = _names(options.seeds)
     if not all(seed.isdecimal() for seed in seeds):
         raise ConfigurationError("Not a seed.", got=options.seeds, allowed="whole numbers", hint="--seeds 1000,1001")
@@ -80,7 +83,7 @@ def _selection(options: BenchmarkOptions) -> dict[str, tuple[Any, ...]]:
     return {**names, "seeds": tuple(map(int, seeds))}
 
 
-def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) -> BenchmarkRun:
+def _benchmark(options: BenchmarkCommand, declaration: Declaration, scale: str) -> BenchmarkRun:
     policies, unavailable = find_policies(declaration.methods)
     return BenchmarkRun(
         declaration=declaration,
@@ -96,12 +99,12 @@ def _benchmark(options: BenchmarkOptions, declaration: Declaration, scale: str) 
     )
 
 
-def _collect_options(options: BenchmarkOptions) -> tuple[str, ...]:
+def _collect_options(options: BenchmarkCommand) -> tuple[str, ...]:
     cluster = () if options.cluster is None else (f"--cluster={options.cluster}",)
     return (f"--workers={options.workers}", *cluster, *(("--insecure-cluster",) if options.insecure_cluster else ()))
 
 
-def _print(options: BenchmarkOptions, scale: str, states: Sequence[CellState], written: dict[str, str]) -> None:
+def _print(options: BenchmarkCommand, scale: str, states: Sequence[CellState], written: dict[str, str]) -> None:
     if options.json:
         print(json.dumps({"scale": scale, "cells": [_state_json(each) for each in states], **written}))
         return

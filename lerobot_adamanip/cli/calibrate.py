@@ -24,7 +24,7 @@ ENOUGH_PICTURES = 20
 
 
 @dataclass
-class Calibrate:
+class CalibrateCommand:
     """Calibrate a camera's pose from pictures of a ChArUco board at poses of the arm.
 
     Print the board first (--board-image). Fix it to the hand for a camera beside the robot, or to the table for a

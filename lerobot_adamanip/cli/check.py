@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import Progress, show_progress
@@ -14,13 +14,15 @@ from lerobot_adamanip.util.errors import ConfigurationError
 if TYPE_CHECKING:
     from lerobot_adamanip.datasets.check.findings import Report
 
+TOLERANCE = 1e-4
+"""Maximum difference of a replay in any column, in the column's unit (m, rad, rad/s, N m)."""
 _SHOWN = 20
 """Maximum printed findings per kind; `--json` has more."""
 _STAGES = {"rows": "rows checked", "frames": "frames decoded", "replay": "episodes replayed"}
 
 
 @dataclass
-class Check:
+class CheckCommand:
     """Checks a dataset: files, columns, counts, rows, videos, statistics and collection metadata.
 
     Exit status: 0 without findings or with warnings only, 1 with findings, 2 without a dataset. Only --repair changes
@@ -37,9 +39,6 @@ class Check:
     replay: int = 0
     """Number of episodes to replay in the simulator, spread over the dataset, for example 3."""
 
-    tolerance: float = 1e-4
-    """Maximum difference of a replay in any column, in the column's unit (m, rad, rad/s, N m)."""
-
     assets: Path | None = None
     """Folder of external assets, if the dataset was recorded with any."""
 
@@ -53,13 +52,15 @@ class Check:
         from lerobot_adamanip.datasets.check.dataset import check
         from lerobot_adamanip.datasets.repair import repair
 
+        repaired: dict[str, Any] = {}
+        lines: list[str] = []
         with show_progress(_STAGES) as progress:
-            mended = repair(self.root) if self.repair else None
+            if self.repair:
+                changes = repair(self.root)
+                repaired, lines = {"repair": changes.to_json()}, list(changes.lines())
             result = check(self.root, assets=self.assets, progress=progress)
             if self.replay and result.clean:
                 result = self._with_replays(result, progress)
-        repaired = {} if mended is None else {"repair": mended.to_json()}
-        lines = [] if mended is None else mended.lines()
         print_result(self.json, {**result.to_json(), **repaired}, "\n".join([*lines, *_lines(result)]))
         return 0 if result.clean else 1
 
@@ -70,27 +71,9 @@ class Check:
         count = min(self.replay, result.episodes)
         chosen = [number * result.episodes // count for number in range(count)]
         report = check_replays(
-            self.root, chosen, make_keyframe_env, tolerance=self.tolerance, assets=self.assets, progress=progress
+            self.root, chosen, make_keyframe_env, tolerance=TOLERANCE, assets=self.assets, progress=progress
         )
         return replace(result, findings=result.findings + report.findings, counts=result.counts + report.counts)
-
-
-@dataclass
-class Repair:
-    """Repairs a dataset after a crash, then checks it, like `adamanip check --repair`.
-
-    Every completely saved episode is kept. Removed files are moved into DIR.before-repair.
-    """
-
-    root: DatasetFolder
-    """Folder of a LeRobotDataset: demonstrations or a robot recording."""
-
-    json: bool = False
-    """Print one JSON object instead of text."""
-
-    def run(self) -> int:
-        """Repairs and checks. Returns 0 without remaining findings."""
-        return Check(self.root, repair=True, json=self.json).run()
 
 
 def _lines(result: Report) -> Iterator[str]:

@@ -8,15 +8,13 @@ import shlex
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
-
-import tyro
+from typing import TYPE_CHECKING, Literal
 
 from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_result
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.datasets.repository_names import require_hub_name, require_repo_id
+from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.jobs import DEFAULT_TIMEOUT
@@ -31,7 +29,7 @@ _STAGES = {"record": "recorded in all", "assemble": "writing the dataset"}
 
 
 @dataclass
-class Collect:
+class CollectCommand:
     """Records demonstrations of a scripted expert as a LeRobotDataset.
 
     Every finished episode is on disk at once: after Ctrl-C, a crash or a power cut the same command resumes. The same
@@ -62,12 +60,10 @@ class Collect:
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
     image_size: int | None = None
-    """Side length of the front image [px]. Default: 256. A given size implies --images."""
+    """Side length of the front image [px], e.g. 256, the default. With this option, a machine that cannot render fails
+    at once; without it, such a machine records no pictures."""
 
-    images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
-    """Record pictures, or fail at once on a machine that cannot render. Default: pictures where rendering works."""
-
-    no_images: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
+    no_images: bool = False
     """Record no pictures. Needs no Vulkan device; `adamanip render` adds them later."""
 
     cloud_source: Literal["raycast", "render"] = "raycast"
@@ -135,29 +131,20 @@ class Collect:
     allow_missing: bool = False
     """Make the dataset even if some episodes were given up."""
 
-    push_to_hub: bool = False
-    """Upload the finished dataset to --repo-id, as `adamanip push dataset` does."""
-
-    private: bool = False
-    """Make the uploaded dataset private."""
-
     json: bool = False
     """Print one JSON object when done. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Collects, and publishes if requested. Returns 0 for a complete dataset, 130 after Ctrl-C."""
-        if self.push_to_hub:
-            require_hub_name(self.repo_id)
+        """Collects. Returns 0 for a complete dataset, 130 after Ctrl-C."""
         require_repo_id(self.repo_id, suffix="-failed" if self.keep_failed else "")
-        self._require_whole()
         spec = self._spec_without_images()
-        from lerobot_adamanip.cli.collect_setup import begin, no_pictures, summary_text
+        from lerobot_adamanip.cli.collect_setup import announce, no_pictures, summary_text
         from lerobot_adamanip.collection.partial import require_same_options
 
         options = self.options()
         spec = self._with_images(spec)
         require_same_options(self.root, spec)
-        begin(spec, self.workers, self.cluster, self.part)
+        announce(spec, self.workers, self.cluster, self.part)
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
                 from lerobot_adamanip.collection.collect import collect
@@ -167,32 +154,12 @@ class Collect:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
-        if self.push_to_hub:
-            self._publish()
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         text = summary_text(summary, self.part, self.adopt, "policy" if self.policy else "expert")
         print_result(self.json, {**dataclasses.asdict(summary), **rate}, text)
         if not (spec.environment.observe_images or self.no_images):
             print(no_pictures(f"adamanip render {self.root}"), file=sys.stderr)
         return 0
-
-    def _publish(self) -> None:
-        """Uploads as `adamanip push dataset` does, which resumes an interrupted upload."""
-        from lerobot_adamanip.cli.push import Push
-
-        push = Push("dataset", str(self.repo_id), self.root, assets=self.assets, private=self.private)
-        _, result, _ = push.publish()
-        print(f"Published: {result.url if result else self.repo_id}", file=sys.stderr)
-
-    def _require_whole(self) -> None:
-        """Raises `ConfigurationError` for ``--part`` with an upload or an import: a part makes no dataset."""
-        if self.part is not None and (self.push_to_hub or self.adopt):
-            raise ConfigurationError(
-                "A part of a collection makes no dataset.",
-                got="--part with --push-to-hub or --adopt",
-                allowed="--part alone",
-                hint="adamanip collect DIR ... --adopt PART1 PART2, once all parts are recorded",
-            )
 
     def spec(self) -> CollectionSpec:
         """Returns the options that decide the data; raises `ConfigurationError`."""
@@ -202,8 +169,7 @@ class Collect:
         """Decides on pictures, after all checks: finding a renderer may take seconds."""
         from lerobot_adamanip.cli.collect_setup import resolve_images
 
-        wanted = self.images or (self.image_size is not None and not self.no_images)
-        images = resolve_images((self.root, *self.adopt), wanted, self.no_images)
+        images = not self.no_images and resolve_images((self.root, *self.adopt), self.image_size is not None)
         return dataclasses.replace(spec, environment=spec.environment.changed(observe_images=images))
 
     def _spec_without_images(self) -> CollectionSpec:
@@ -225,6 +191,11 @@ class Collect:
         check_late_starts(self.late_starts)
         from lerobot_adamanip.datasets.collection_spec import CollectionSpec  # with scipy, after the checks
 
+        policy = ""
+        if self.policy is not None:
+            from lerobot_adamanip.collection.trained_policy import policy_hash  # imports torch
+
+            policy = policy_hash(self.policy)
         return CollectionSpec(
             environment=environment,
             objects=objects,
@@ -234,7 +205,7 @@ class Collect:
             trials=self.trials,
             late_starts=self.late_starts,
             keep_failed=self.keep_failed,
-            policy=self._policy_hash(),
+            policy=policy,
             expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )
@@ -244,24 +215,16 @@ class Collect:
         from lerobot_adamanip.collection.collect import CollectOptions
         from lerobot_adamanip.collection.partial import Part
 
-        return CollectOptions(
-            workers=self.workers,
-            worker_timeout=self.worker_timeout,
-            max_attempts=self.max_attempts,
-            allow_missing=self.allow_missing,
-            repo_id=self.repo_id,
-            cluster=self.cluster,
-            insecure_cluster=self.insecure_cluster,
-            part=None if self.part is None else Part.parse(self.part),
-            adopt=self.adopt,
-        )
-
-    def _policy_hash(self) -> str:
-        if self.policy is None:
-            return ""
-        from lerobot_adamanip.collection.trained_policy import policy_hash  # imports torch
-
-        return policy_hash(self.policy)
+        if self.part is not None and self.adopt:
+            raise ConfigurationError(
+                "A part of a collection makes no dataset.",
+                got="--part with --adopt",
+                allowed="--part alone",
+                hint="adamanip collect DIR ... --adopt PART1 PART2, once all parts are recorded",
+            )
+        same = ("workers", "worker_timeout", "max_attempts", "allow_missing", "repo_id", "cluster", "insecure_cluster")
+        part = None if self.part is None else Part.parse(self.part)
+        return CollectOptions(**{name: getattr(self, name) for name in same}, part=part, adopt=self.adopt)
 
     def _factories(self) -> Factories:
         if self.policy is None:

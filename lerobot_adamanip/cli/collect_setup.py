@@ -56,7 +56,7 @@ def objects_to_collect(categories: Sequence[str], selection: str, assets: Path |
     return names
 
 
-def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | None) -> None:
+def announce(spec: CollectionSpec, workers: int, cluster: str | None, part: str | None) -> None:
     """Prints what will be recorded, and makes workers begin to import the simulator."""
     episodes = counted(len(spec.objects) * spec.episodes_per_object, "episode")
     splits = Counter(object_split(name) or "external" for name in spec.objects)
@@ -75,20 +75,15 @@ def begin(spec: CollectionSpec, workers: int, cluster: str | None, part: str | N
         preload(*_WORKER_MODULES)
 
 
-def can_render() -> bool:
-    """Returns whether this machine can render."""
-    from lerobot_env_adamanip.sim.render_device import can_render as probe
-
-    return probe()
-
-
 def require_renderer() -> None:
     """Raises `SimulatorError` if this machine cannot render."""
+    from lerobot_env_adamanip.sim.render_device import can_render
+
     if not can_render():
         raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
 
 
-def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
+def resolve_images(roots: Sequence[Path], required: bool) -> bool:
     """Returns whether a collection has pictures.
 
     An existing collection keeps its choice. A new one has pictures on a machine that can render; otherwise a line on
@@ -96,31 +91,19 @@ def resolve_images(roots: Sequence[Path], wanted: bool, refused: bool) -> bool:
 
     Args:
         roots: of the dataset, and of adopted parts.
-        wanted: --images or --image-size was given.
-        refused: --no-images was given.
-
-    Raises:
-        ConfigurationError: both were given.
-        SimulatorError: --images was given, and this machine cannot render.
+        required: whether to raise `SimulatorError` on a machine that cannot render.
     """
     from lerobot_adamanip.datasets.collection_spec import CollectionPaths
     from lerobot_adamanip.datasets.manifest import stored_images
+    from lerobot_env_adamanip.sim.render_device import can_render
 
-    if wanted and refused:
-        raise ConfigurationError(
-            "Contradicting options.",
-            got="--images --no-images",
-            allowed="one of them, or neither: pictures on a machine that can render",
-            hint="leave one out",
-        )
-    if refused:
-        return False
-    stored = [stored_images(CollectionPaths(root.absolute())) for root in roots]
-    if not wanted and (known := [each for each in stored if each is not None]):
-        return known[0]
-    if wanted:
+    if required:
         require_renderer()
-    if wanted or can_render():
+        return True
+    choices = (stored_images(CollectionPaths(root.absolute())) for root in roots)
+    if (stored := next((choice for choice in choices if choice is not None), None)) is not None:
+        return stored
+    if can_render():
         return True
     print(no_pictures("adamanip render"), file=sys.stderr)
     return False

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Expert:
+class ExpertCommand:
     """Evaluates a scripted expert: the scenes, the limits and the log are those of `lerobot-eval`.
 
     An expert knows the poses of the parts. The adaptive one does not see what is hidden: its result is what a policy

@@ -19,7 +19,7 @@ _STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": 
 
 
 @dataclass
-class Keyframes:
+class KeyframesCommand:
     """Writes the key frames of dense recordings as a dataset that policies train on.
 
     A recording is a dataset that `lerobot-record` wrote with one of our robots. You may add datasets of key frames,

@@ -17,12 +17,12 @@ from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
-_USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark", "bench")
+_USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark")
 """Commands that load our environments and policies as LeRobot plugins. The others start 3 s faster."""
 _SIMULATOR_PACKAGES = frozenset({"mani_skill", "sapien", "cv2"})
 
 
-class Entry(NamedTuple):
+class CommandEntry(NamedTuple):
     """A subcommand: a class of `lerobot_adamanip.cli`, imported on call, and its help text.
 
     Attributes:
@@ -34,27 +34,33 @@ class Entry(NamedTuple):
     help: str
 
 
-COMMANDS = {
-    "doctor": Entry("doctor:Doctor", "check the installation and the renderer, and print fixes"),
-    "collect": Entry("collect:Collect", "record demonstrations of an expert as a LeRobotDataset"),
-    "replay": Entry("replay:Replay", "replay a recorded episode in the simulator and compare"),
-    "render": Entry("render:Render", "add pictures to a dataset that was collected without them"),
-    "check": Entry("check:Check", "check a dataset, and repair it after a crash"),
-    "repair": Entry("check:Repair", "repair a dataset or a recording after a crash"),
-    "keyframes": Entry("keyframes:Keyframes", "convert robot recordings to demonstrations"),
-    "stats": Entry("stats:Stats", "count episodes, tries, lengths and hidden values of a dataset"),
-    "merge": Entry("merge:Merge", "merge datasets into a new one"),
-    "filter": Entry("filter:Filter", "write a dataset with the episodes that fulfil conditions"),
-    "split": Entry("split:Split", "split a dataset into several, by shares or by values"),
-    "view": Entry("view:View", "show an episode: cloud, tool path, goals, tries, effort"),
-    "push": Entry("push:Push", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
-    "objects": Entry("objects.command:Objects", "draw a contact sheet of the objects of a category"),
-    "annotate": Entry("annotate.command:Annotate", "annotate grasps and joints of external assets in the browser"),
-    "calibrate": Entry("calibrate:Calibrate", "calibrate a camera's pose with a board and the arm"),
-    "report": Entry("report:Report", "report success rates with intervals, tries and plots of an evaluation"),
-    "benchmark": Entry("benchmark:Benchmark", "train and evaluate methods, and compare them with the paper"),
-    "expert": Entry("expert:Expert", "evaluate an expert in the scenes in which policies are evaluated"),
-    "bench": Entry("bench:Bench", "measure the speed of collection, simulation, observation, training and action"),
+FIRST_COMMANDS = {
+    "doctor": CommandEntry("doctor:DoctorCommand", "check the installation and the renderer, and print fixes"),
+    "collect": CommandEntry("collect:CollectCommand", "record demonstrations of an expert as a LeRobotDataset"),
+    "check": CommandEntry("check:CheckCommand", "check a dataset, and repair it after a crash"),
+    "keyframes": CommandEntry("keyframes:KeyframesCommand", "convert robot recordings to demonstrations"),
+    "report": CommandEntry(
+        "report:ReportCommand", "report success rates with intervals, tries and plots of an evaluation"
+    ),
+    "push": CommandEntry("push:PushCommand", "publish a dataset, a policy or the environments on the Hugging Face Hub"),
+    "benchmark": CommandEntry(
+        "benchmark:BenchmarkCommand", "train and evaluate methods, and compare them with the paper"
+    ),
+}
+COMMANDS = FIRST_COMMANDS | {
+    "stats": CommandEntry("stats:StatsCommand", "count episodes, tries, lengths and hidden values of a dataset"),
+    "view": CommandEntry("view:ViewCommand", "show an episode: cloud, tool path, goals, tries, effort"),
+    "replay": CommandEntry("replay:ReplayCommand", "replay a recorded episode in the simulator and compare"),
+    "render": CommandEntry("render:RenderCommand", "add pictures to a dataset that was collected without them"),
+    "merge": CommandEntry("edit:MergeCommand", "merge datasets into a new one"),
+    "filter": CommandEntry("edit:FilterCommand", "write a dataset with the episodes that fulfil conditions"),
+    "split": CommandEntry("edit:SplitCommand", "split a dataset into several, by shares or by values"),
+    "expert": CommandEntry("expert:ExpertCommand", "evaluate an expert in the scenes in which policies are evaluated"),
+    "objects": CommandEntry("objects:ObjectsCommand", "draw a contact sheet of the objects of a category"),
+    "annotate": CommandEntry(
+        "annotate.command:AnnotateCommand", "annotate grasps and joints of external assets in the browser"
+    ),
+    "calibrate": CommandEntry("calibrate:CalibrateCommand", "calibrate a camera's pose with a board and the arm"),
 }
 
 
@@ -67,9 +73,12 @@ class Command(Protocol):
 
 def usage() -> str:
     """Returns the text of `adamanip --help`. Imports no subcommand."""
-    lines = [f"  {name:<{max(map(len, COMMANDS))}}  {entry.help}" for name, entry in COMMANDS.items()]
+    width = max(map(len, COMMANDS))
+    first = [f"  {name:<{width}}  {entry.help}" for name, entry in FIRST_COMMANDS.items()]
+    others = [f"  {name:<{width}}  {COMMANDS[name].help}" for name in COMMANDS if name not in FIRST_COMMANDS]
     head = ["usage: adamanip [-h] [--version] COMMAND [OPTIONS]", "", "commands:"]
-    return "\n".join([*head, *lines, "", "`adamanip COMMAND --help` lists the options."])
+    tail = ["", "`adamanip COMMAND --help` lists the options."]
+    return "\n".join([*head, *first, "", "further commands:", *others, *tail])
 
 
 def load(name: str) -> type[Command]:
@@ -101,7 +110,7 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> AdaManipError:
     return ConfigurationError(what, got=got, allowed="a complete installation", hint=hint)
 
 
-def parse(name: str, options: Sequence[str]) -> Any:
+def parse_command(name: str, options: Sequence[str]) -> Any:
     """Returns a subcommand with its options. Exits after ``--help``; raises `ConfigurationError` for wrong options."""
     command = load(name)
     check_options(name, command, options)
@@ -119,7 +128,7 @@ def parse(name: str, options: Sequence[str]) -> Any:
 
 def execute(name: str, options: Sequence[str]) -> int:
     """Parses the options of a subcommand, runs it, and returns its exit status."""
-    command = parse(name, options)
+    command = parse_command(name, options)
     if name != "doctor":  # which reports it as a check
         require_account()
     try:
@@ -131,7 +140,7 @@ def execute(name: str, options: Sequence[str]) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Entry point.
+    """CommandEntry point.
 
     Returns:
         0 on success, 1 for a negative result of the command, 2 for a usage or setup error, 130 if interrupted.

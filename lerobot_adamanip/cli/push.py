@@ -22,12 +22,11 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Push:
+class PushCommand:
     """Publishes a dataset, a policy or the environments with a card generated from their content.
 
-    Checks the files, creates the repository, uploads, moves the version tag, and compares the Hub's files. After an
-    interruption, the same command resumes; files already uploaded are not sent again. Names of this machine are
-    removed or refused.
+    Checks the files, creates the repository, uploads, and moves the version tag. After an interruption, the same
+    command resumes; files already uploaded are not sent again. Names of this machine are removed or refused.
     """
 
     kind: tyro.conf.Positional[Literal["dataset", "model", "environment"]]

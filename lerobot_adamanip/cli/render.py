@@ -10,7 +10,7 @@ from lerobot_adamanip.cli.progress import show_progress
 
 
 @dataclass
-class Render:
+class RenderCommand:
     """Writes a copy of a dataset and adds the images that `adamanip collect --no-images` skipped.
 
     Creates scenes from their seeds and sets the recorded joint positions, without physics. Needs a Vulkan device. After

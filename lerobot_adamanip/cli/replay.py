@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Replay:
+class ReplayCommand:
     """Replays a recorded episode from its stored seed and actions, and compares the observations.
 
     Exit status 0 if the replay matches the recording, 1 if not. Lists the parts of the code that have changed since.

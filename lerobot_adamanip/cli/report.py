@@ -24,7 +24,7 @@ type Evaluations = dict[str, list[EpisodeRecord]]
 
 
 @dataclass
-class Report:
+class ReportCommand:
     """Reports evaluations from their episode logs, which `lerobot-eval --env.episode_log=FILE` writes.
 
     Each evaluation in a log gets a column. Each episode (seed, object and hidden state) counts once, with its last

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 
 @dataclass
-class Stats:
+class StatsCommand:
     """Counts the content of a dataset: episodes, key frames, tries, failed tries, recoveries, successes.
 
     Shows counts by category, object split and hidden value, episode lengths, and attempts that were not kept.

@@ -9,7 +9,7 @@ from lerobot_adamanip.cli.arguments import DatasetFolder, require_suffix
 
 
 @dataclass
-class View:
+class ViewCommand:
     """Draws an episode: cloud, tool path, goals, tries, phases and effort. No display is needed."""
 
     root: DatasetFolder

@@ -21,7 +21,7 @@ _REFUSALS = {
 
 
 class HubError(AdaManipError, RuntimeError):
-    """The Hub cannot be reached, refuses a request, or holds other files than the uploaded ones."""
+    """The Hub cannot be reached or refuses a request."""
 
 
 def require_login(api: HfApi) -> None:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import copy
-import json
+import functools
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,40 +19,24 @@ _PRIVATE = (
 """Fields of a training configuration that name a machine or an account. All may be null."""
 
 
-def shareable(training: Mapping[str, Any], dataset: str | None = None) -> dict[str, Any]:
-    """Returns a training or policy configuration without private fields.
+def shareable[Config](config: Config, dataset: str | None = None) -> Config:
+    """Returns a copy of a training or policy configuration without private fields.
 
     Args:
-        training: JSON-able configuration.
+        config: JSON-able configuration, or an object such as ``TrainPipelineConfig``.
         dataset: Hub name of the training dataset, which replaces a local name.
     """
-    found: dict[str, Any] = json.loads(json.dumps(training))
+    copied = copy.deepcopy(config)
     for *parents, name in _PRIVATE:
-        place: Any = found
-        for parent in parents:
-            place = place.get(parent) or {}
-        if name in place:
-            place[name] = None
-    for policy in (found, found.get("policy") or {}):  # a policy's configuration is alone or inside a training's
-        if is_local(policy.get("pretrained_path")):
-            policy["pretrained_path"] = None
-    if dataset is not None and isinstance(found.get("dataset"), dict):
-        found["dataset"]["repo_id"] = dataset
-    return found
-
-
-def shareable_copy(training: Any) -> Any:
-    """Returns a copy of a ``TrainPipelineConfig`` without private fields, for LeRobot's own push."""
-    found = copy.deepcopy(training)
-    for *parents, name in _PRIVATE:
-        place: Any = found
-        for parent in parents:
-            place = getattr(place, parent, None)
-        if hasattr(place, name):
-            setattr(place, name, None)
-    if is_local(getattr(found.policy, "pretrained_path", None)):
-        found.policy.pretrained_path = None
-    return found
+        part: Any = functools.reduce(_field, parents, copied)
+        if _field(part, name) is not None:
+            _set_field(part, name, None)
+    for policy in (copied, _field(copied, "policy")):  # a policy's configuration is alone or inside a training's
+        if is_local(_field(policy, "pretrained_path")):
+            _set_field(policy, "pretrained_path", None)
+    if dataset is not None and (part := _field(copied, "dataset")) is not None:
+        _set_field(part, "repo_id", dataset)
+    return copied
 
 
 def is_local(path: object) -> bool:
@@ -61,3 +44,14 @@ def is_local(path: object) -> bool:
     text = str(path)
     is_name = _HUB_NAME.fullmatch(text) is not None and text.partition("/")[0] not in _FOLDERS
     return path is not None and (not is_name or Path(text).exists())
+
+
+def _field(part: Any, name: str) -> Any:
+    return part.get(name) if isinstance(part, dict) else getattr(part, name, None)
+
+
+def _set_field(part: Any, name: str, value: object) -> None:
+    if isinstance(part, dict):
+        part[name] = value
+    else:
+        setattr(part, name, value)

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.hub.endpoint import RETRY, HubError, require_login, translate_hub_errors
-from lerobot_adamanip.hub.staging import Digest, Staged
-from lerobot_adamanip.util.errors import listed
+from lerobot_adamanip.hub.endpoint import HubError, require_login, translate_hub_errors
+from lerobot_adamanip.hub.staging import Staged
 
 if TYPE_CHECKING:
     from huggingface_hub import HfApi
@@ -39,7 +38,7 @@ class PushResult:
 
 
 def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, release: str | None = None) -> PushResult:
-    """Creates the repository, uploads in one commit, moves the version tag, and compares the Hub's files.
+    """Creates the repository, uploads in one commit, and moves the version tag.
 
     It connects only to the endpoint of ``api`` (``HF_ENDPOINT``) and the stores that the endpoint names. After an
     interruption, the same call resumes.
@@ -51,8 +50,8 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
         release: tag of this publication; see `require_release_name`.
 
     Raises:
-        HubError: not logged in, the Hub is unreachable or refuses, or holds other files than the uploaded ones.
-        DatasetError: a file has changed since the scan.
+        HubError: not logged in, or the Hub is unreachable or refuses.
+        DatasetError: a file has changed since the scan, before or during the upload.
     """
     from huggingface_hub import HfApi as Client
 
@@ -73,9 +72,9 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
         tags = tuple(tag for tag in (staged.version_tag, release) if tag)
         for tag in tags:
             _set_tag(api, staged, tag, commit, movable=tag == staged.version_tag)
-        _require_same_files(api, staged, commit)
-    size = sum(digest.size for digest in staged.digests.values())
-    return PushResult(staged.repo_id, staged.kind, str(url), commit, commit != before, len(staged.digests), size, tags)
+    staged.require_unchanged()
+    sizes = [path.stat().st_size for path in staged.files().values()]
+    return PushResult(staged.repo_id, staged.kind, str(url), commit, commit != before, len(sizes), sum(sizes), tags)
 
 
 def _head(api: HfApi, staged: Staged, private: bool) -> str:
@@ -111,26 +110,3 @@ def _set_tag(api: HfApi, staged: Staged, tag: str, commit: str, *, movable: bool
     if known is not None:
         api.delete_tag(staged.repo_id, tag=tag, repo_type=staged.kind)
     api.create_tag(staged.repo_id, tag=tag, revision=commit, repo_type=staged.kind)
-
-
-def _require_same_files(api: HfApi, staged: Staged, commit: str) -> None:
-    """Raises `HubError` if the commit's files or its version tag differ from the staged ones."""
-    entries = api.list_repo_tree(staged.repo_id, repo_type=staged.kind, revision=commit, recursive=True)
-    remote = {entry.path: entry for entry in entries if hasattr(entry, "blob_id")}
-    local = staged.digests
-    wrong = [name for name, digest in local.items() if name not in remote or not _is_same(remote[name], digest)]
-    wrong += sorted(name for name in set(remote) - set(local) if name.startswith(staged.replaced))
-    if staged.version_tag and _tag_commit(api, staged, staged.version_tag) != commit:
-        wrong.append(f"tag {staged.version_tag}")
-    if wrong:
-        raise HubError(
-            "The Hub holds other files than the uploaded ones.",
-            got=f"{staged.repo_id}: {listed(wrong)}",
-            allowed="the same files with the same content",
-            hint=RETRY,
-        )
-
-
-def _is_same(entry: Any, digest: Digest) -> bool:
-    same = str(entry.blob_id) == digest.git if entry.lfs is None else str(entry.lfs.sha256) == digest.sha256
-    return same and entry.size == digest.size

@@ -14,8 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.cards import template_texts
-from lerobot_adamanip.hub.private_addresses import find_addresses
-from lerobot_adamanip.hub.secrets import find_secrets
+from lerobot_adamanip.hub.private_data import find_addresses, find_secrets
 from lerobot_adamanip.util.errors import DatasetError, listed
 from lerobot_adamanip.util.machine_paths import MACHINE_PATH
 
@@ -34,7 +33,7 @@ _BINARY_PATH = re.compile(r"(?<![\w.])/(?:home|root|Users|scratch)/[\w.-]+/", re
 
 
 @dataclass(frozen=True)
-class Finding:
+class PrivateText:
     """A secret, or a name or path of a machine or person.
 
     Attributes:
@@ -78,7 +77,7 @@ class Names:
         )
 
 
-def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Finding]:
+def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[PrivateText]:
     """Returns findings in file names, text files, Parquet metadata and text columns, and bytes of other files.
 
     Args:
@@ -86,7 +85,7 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Fi
         names: names of this machine. Words in our own card templates and common names are not findings.
         owner: owner of the repository, whose name is public anyway.
     """
-    found: list[Finding] = []
+    found: list[PrivateText] = []
     for name, path in files.items():
         suffix = path.suffix.lower()
         binary = suffix not in (".parquet", *_TEXT)
@@ -96,7 +95,7 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Fi
             texts = _parquet_texts(name, path)
         else:
             texts = iter([name, path.read_text(encoding="utf-8", errors="replace")])
-        found += (finding for text in texts for finding in _search(name, text, names, owner, binary=binary))
+        found += (item for text in texts for item in _search(name, text, names, owner, binary=binary))
     return list(dict.fromkeys(found))
 
 
@@ -111,23 +110,23 @@ def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -
         )
 
 
-def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> Iterator[Finding]:
+def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> Iterator[PrivateText]:
     """Yields the findings in a text, or in bytes decoded as Latin-1."""
     if binary:
         for path in _BINARY_PATH.finditer(text):
-            yield Finding(file, "path", path.group()[:120])
+            yield PrivateText(file, "path", path.group()[:120])
     for folder in names.folders:
         if (folder.encode().decode("latin-1") if binary else folder) in text:
-            yield Finding(file, "path", folder)
+            yield PrivateText(file, "path", folder)
     for kind, name in _telling_names(names, owner, _SHORTEST_IN_BYTES if binary else _SHORTEST):
         word = name.encode().decode("latin-1") if binary else name
         if re.search(rf"(?<!\w){re.escape(word)}(?!\w)", text, re.ASCII):
-            yield Finding(file, kind, name)
+            yield PrivateText(file, kind, name)
     for part in _TEXT_RUN.findall(text) if binary else [text]:
         for path in _TEXT_PATH.finditer(part):
-            yield Finding(file, "path", path.group()[:120])
+            yield PrivateText(file, "path", path.group()[:120])
         for kind, found in (*find_addresses(part), *find_secrets(part)):
-            yield Finding(file, kind, found[:120])
+            yield PrivateText(file, kind, found[:120])
 
 
 def _telling_names(names: Names, owner: str, shortest: int) -> Iterator[tuple[str, str]]:
@@ -158,7 +157,7 @@ def _parquet_texts(name: str, path: Path) -> Iterator[str]:
                 yield "\n".join(map(str, values.unique().to_pylist() if _is_text(field.type) else values.to_pylist()))
     except (OSError, ValueError, pa.ArrowException) as error:
         raise DatasetError(
-            "A file cannot be read.", got=f"{name}: {error}", allowed="Parquet", hint="adamanip repair DIR"
+            "A file cannot be read.", got=f"{name}: {error}", allowed="Parquet", hint="adamanip check DIR --repair"
         ) from error
 
 

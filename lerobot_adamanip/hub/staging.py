@@ -33,26 +33,6 @@ _STATE_FILE = re.compile(r"[\w.-]+\.safetensors")
 
 
 @dataclass(frozen=True)
-class Digest:
-    """Size, SHA-256 and Git blob hash of a file."""
-
-    size: int
-    sha256: str
-    git: str
-
-    @classmethod
-    def of(cls, path: Path) -> Digest:
-        """Returns the digest of a file. Follows links."""
-        with open(path, "rb") as file:
-            size = os.fstat(file.fileno()).st_size
-            sha256, git = hashlib.sha256(), hashlib.sha1(b"blob %d\0" % size)
-            while block := file.read(2**20):
-                sha256.update(block)
-                git.update(block)
-        return cls(size, sha256.hexdigest(), git.hexdigest())
-
-
-@dataclass(frozen=True)
 class Staged:
     """Files to publish.
 
@@ -62,7 +42,7 @@ class Staged:
         folder: folder with the files or links to them.
         replaced: name prefixes in the repository. Other files under them are deleted there.
         version_tag: tag that must be at the newest commit, or None.
-        digests: path in the repository -> digest of the scanned file. Only these files are published.
+        hashes: path in the repository -> SHA-256 of the scanned file. Only these files are published.
     """
 
     kind: str
@@ -70,16 +50,16 @@ class Staged:
     folder: Path
     replaced: tuple[str, ...] = ()
     version_tag: str | None = None
-    digests: Mapping[str, Digest] = field(default_factory=dict)
+    hashes: Mapping[str, str] = field(default_factory=dict)
 
     def sealed(self) -> Staged:
-        """Returns a copy with the current digests of the files."""
-        return replace(self, digests={name: Digest.of(path) for name, path in self.files().items()})
+        """Returns a copy with the current hashes of the files."""
+        return replace(self, hashes={name: _sha256(path) for name, path in self.files().items()})
 
     def require_unchanged(self) -> None:
         """Raises `DatasetError` if a file or link target has changed since the scan."""
-        now = self.sealed().digests
-        if changed := sorted(name for name in {**now, **self.digests} if now.get(name) != self.digests.get(name)):
+        now = self.sealed().hashes
+        if changed := sorted(name for name in {**now, **self.hashes} if now.get(name) != self.hashes.get(name)):
             raise DatasetError(
                 "Files changed after they were checked for publishing.",
                 got=listed(changed),
@@ -160,6 +140,11 @@ def stage_environment(
     for name, text in files.items():
         (into / name).write_text(text, encoding="utf-8")
     return _finish(Staged("model", repo_id, into, ("envs/",)), files["README.md"], into)
+
+
+def _sha256(path: Path) -> str:
+    with open(path, "rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
 
 
 def _finish(staged: Staged, card: str, source: Path) -> Staged:

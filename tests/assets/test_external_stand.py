@@ -108,7 +108,7 @@ def test_one_asset_out_of_reach_is_left_out_by_name_and_costs_no_other(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     from lerobot_adamanip.cli.collect_setup import select_placeable
-    from lerobot_adamanip.cli.objects.command import checked_source
+    from lerobot_adamanip.cli.objects import checked_source
     from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 

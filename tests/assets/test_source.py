@@ -13,7 +13,7 @@ from solids import face_planes, solid
 
 from lerobot_adamanip.assets import AssetSource, is_asset_id, load_object
 from lerobot_adamanip.assets.annotation.session import Draft
-from lerobot_adamanip.assets.meshes import Surface, cache_folder, convex_parts
+from lerobot_adamanip.assets.meshes import Surface, convex_cache_folder, convex_parts
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.mechanisms import infeasible
@@ -127,7 +127,7 @@ def test_an_angle_keeps_its_corner_free() -> None:
         parts = convex_parts(surface)
         assert len(parts) > 1
         assert sum(trimesh.convex.convex_hull(part).volume for part, _ in parts) == pytest.approx(0.00513, rel=0.1)
-    assert len(list(cache_folder().glob("*.npz"))) == 1
+    assert len(list(convex_cache_folder().glob("*.npz"))) == 1
 
 
 def test_a_sheet_gets_a_thickness() -> None:

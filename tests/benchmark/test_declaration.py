@@ -146,9 +146,9 @@ def test_a_file_that_is_no_declaration_is_one_error(tmp_path: Path) -> None:
 
 
 def test_what_is_left_out_has_the_defaults_of_adamanip_collect() -> None:
-    from lerobot_adamanip.cli.collect import Collect
+    from lerobot_adamanip.cli.collect import CollectCommand
 
-    made, collect = declared().demonstrations["adaptive"], Collect(Path("root"))
+    made, collect = declared().demonstrations["adaptive"], CollectCommand(Path("root"))
     for name in ("expert", "trials", "late_starts", "num_points", "poses", "mechanism_rules"):
         assert getattr(made, name) == getattr(collect, name)
 

@@ -26,8 +26,8 @@ from lerobot_adamanip.benchmark.plan import (
 )
 from lerobot_adamanip.benchmark.policies import policy_package
 from lerobot_adamanip.catalog import parse_object_selection, seen_objects
-from lerobot_adamanip.cli.collect import Collect
-from lerobot_adamanip.cli.main import parse
+from lerobot_adamanip.cli.collect import CollectCommand
+from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -94,14 +94,17 @@ def test_filters_choose_among_what_is_declared() -> None:
 def test_collecting_is_a_command_of_ours(name: str) -> None:
     declaration = read_declaration()
     step = steps_of(declaration, name)[COLLECT]
-    made = parse("collect", [*step.command[2:], *step.non_key_options])
+    made = parse_command("collect", [*step.command[2:], *step.non_key_options])
     wanted = declaration.demonstrations[declaration.methods[name].demonstrations]
     assert (made.expert, made.trials, made.late_starts) == (wanted.expert, wanted.trials, wanted.late_starts)
-    assert made.images == bool(wanted.image_size)
+    assert made.no_images == (not wanted.image_size)
+    assert (made.image_size or 0) == wanted.image_size
     objects = len(made.spec().objects)
     assert 0 <= made.episodes_per_object * objects - declaration.scale("cpu").demonstrations < objects
     assert not made.root.is_absolute()
-    assert made.max_attempts > Collect.max_attempts, "a scene that is hard to demonstrate in is no reason to stop"
+    assert made.max_attempts > CollectCommand.max_attempts, (
+        "a scene that is hard to demonstrate in is no reason to stop"
+    )
     assert not any("attempts" in word for word in step.command), "they decide nothing, and so are in no key"
 
 
@@ -158,7 +161,7 @@ def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     declaration = declared(methods=methods, scales={SCALE: scale})
     assert [each.seed for each in all_cells(declaration, SCALE) if each.method == "expert"] == [1, 1]
     (test,) = plan(cell("expert"), declaration, SCALE, VERSIONS).chain()
-    made = parse("expert", test.command[2:])
+    made = parse_command("expert", test.command[2:])
     assert (made.expert, made.trials, made.seed, made.episodes) == ("static", 2, 7, 5)
     assert str(made.episode_log.parent) == test.product
     policy = evaluation_options(steps(declaration)[EVALUATE].command)
@@ -205,7 +208,7 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
     before = steps()
     assert (found["collect"], found["train"]) == (before[COLLECT], before[TRAIN]), "they are those without a round"
     first = found["correct"]
-    made = parse("collect", [*first.command[2:], *first.non_key_options])
+    made = parse_command("collect", [*first.command[2:], *first.non_key_options])
     assert (made.episodes_per_object, str(made.policy)) == (3, str(last_checkpoint(found["train"].product)))
     assert found["merge"].command[2:4] == (found["collect"].product, first.product)
     assert found["merge_2"].command[2:4] == (found["merge"].product, found["correct_2"].product)

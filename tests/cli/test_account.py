@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip.cli import doctor_checks
+from lerobot_adamanip.cli import doctor
 from lerobot_adamanip.cli.main import COMMANDS, load, main
 from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -44,7 +44,7 @@ def test_what_is_missing_is_named(
     monkeypatch.delenv("HOME", raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    check = doctor_checks.check_account()
+    check = doctor.check_account()
     assert check.ok == (missing is None)
     if missing is None:
         require_account()
@@ -53,7 +53,7 @@ def test_what_is_missing_is_named(
     assert f"{missing}=" in check.advice
     with pytest.raises(ConfigurationError, match=f"{missing} is not set"):
         require_account()
-    assert [each.name for each in doctor_checks.run_checks()] == ["Python", "Account"], "the others would mislead"
+    assert [each.name for each in doctor.run_checks()] == ["Python", "Account"], "the others would mislead"
 
 
 @pytest.mark.usefixtures("foreign")
@@ -67,7 +67,7 @@ def test_no_command_begins_without_it(
         "annotate": "new",
         "view": "dataset --out new",
         **dict.fromkeys(("merge", "filter", "split", "keyframes"), "dataset --out new"),
-        **dict.fromkeys(("collect", "replay", "render", "check", "repair", "stats", "calibrate"), "dataset"),
+        **dict.fromkeys(("collect", "replay", "render", "check", "stats", "calibrate"), "dataset"),
     }
     monkeypatch.setattr(load(name), "run", lambda _: pytest.fail("it began"))
     assert main([name, *lines.get(name, "").split()]) == 2

@@ -14,7 +14,6 @@ import pytest
 from lerobot_adamanip.assets import load_object
 from lerobot_adamanip.assets.annotation.session import DRAFT_NAME, Draft
 from lerobot_adamanip.assets.roles import ROLES
-from lerobot_adamanip.cli import main as cli
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -105,27 +104,12 @@ def test_a_larger_scale_takes_the_grasps_along(tmp_path: Path) -> None:
     np.testing.assert_allclose(draft.object().size, 2 * np.asarray(before.size), rtol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["{}", "--category", "teapot"], "Unknown value of --category"),
-        (["{}/nowhere"], "does not exist"),
-        (["{}"], "No safe found"),
-    ],
-)
-def test_mistakes_are_one_message(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert cli.main(["annotate", *(word.format(tmp_path) for word in arguments)]) == 2
-    assert message in capsys.readouterr().err
-
-
 @pytest.fixture
 def server() -> Iterator[Any]:
     pytest.importorskip("viser")
-    from lerobot_adamanip.cli.annotate.command import start_server
+    from lerobot_adamanip.cli.annotate.command import start_viser
 
-    made = start_server("127.0.0.1", 18080)
+    made = start_viser("127.0.0.1", 18080)
     yield made
     made.stop()
 

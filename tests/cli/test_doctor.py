@@ -11,9 +11,8 @@ from importlib import metadata
 
 import pytest
 
-from lerobot_adamanip.cli import doctor_checks as checks
-from lerobot_adamanip.cli.doctor import Doctor
-from lerobot_adamanip.cli.doctor_checks import Check
+from lerobot_adamanip.cli import doctor as checks
+from lerobot_adamanip.cli.doctor import CheckResult, DoctorCommand
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_env_adamanip.sim import render_device
 
@@ -72,18 +71,18 @@ def test_the_render_backend_is_the_probes_answer(
 def test_only_required_checks_decide_and_one_that_breaks_fails(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def check_broken() -> Iterator[Check]:
-        yield Check("first", True, "fine")
+    def check_broken() -> Iterator[CheckResult]:
+        yield CheckResult("first", True, "fine")
         raise ValueError("odd machine")
 
-    wish = Check("wish", False, "no [x]", "get one", required=False)
+    wish = CheckResult("wish", False, "no [x]", "get one", required=False)
     monkeypatch.setattr(checks, "CHECKS", (lambda: wish,))
-    assert Doctor().run() == 0
+    assert DoctorCommand().run() == 0
     printed = capsys.readouterr().out
     assert "get one" in printed
     assert "no [x]" in printed
     monkeypatch.setattr(checks, "CHECKS", (lambda: wish, check_broken))
-    assert Doctor().run() == 1
+    assert DoctorCommand().run() == 1
     _, first, broken = checks.run_checks()
     assert first.ok
     assert (broken.name, broken.ok, broken.found) == ("broken", False, "ValueError: odd machine")

@@ -14,7 +14,7 @@ import pytest
 from asset_folders import partnet_safe, safe_annotation
 
 from lerobot_adamanip.assets import AssetSource, load_object
-from lerobot_adamanip.cli.main import COMMANDS, parse
+from lerobot_adamanip.cli.main import COMMANDS, parse_command
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,7 +63,7 @@ FOUND = [
 @pytest.mark.parametrize("command", FOUND)
 def test_a_command_in_a_hint_parses(command: list[str]) -> None:
     name, *words = command
-    parse(name, words)
+    parse_command(name, words)
 
 
 def test_hints_are_found() -> None:
@@ -115,4 +115,4 @@ def printed(error: AdaManipError) -> Any:
     """Returns the command in the last line of an error, as the parser reads it from a shell."""
     _, _, line = str(error).splitlines()[-1].partition("adamanip ")
     name, *words = shlex.split(line)
-    return parse(name, words)
+    return parse_command(name, words)

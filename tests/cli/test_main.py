@@ -37,14 +37,14 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
     module = ModuleType("lerobot_adamanip.cli.probe")
     module.Probe = Probe  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, module.__name__, module)
-    monkeypatch.setitem(cli.COMMANDS, "probe", cli.Entry("probe:Probe", "a probe"))
-    monkeypatch.setitem(cli.COMMANDS, "absent", cli.Entry("no_such_module:Absent", "not there"))
+    monkeypatch.setitem(cli.COMMANDS, "probe", cli.CommandEntry("probe:Probe", "a probe"))
+    monkeypatch.setitem(cli.COMMANDS, "absent", cli.CommandEntry("no_such_module:Absent", "not there"))
 
 
 @pytest.mark.parametrize(
     ("arguments", "status", "out", "err"),
     [
-        (["--help"], 0, "bench", ""),
+        (["--help"], 0, "benchmark", ""),
         ([], 2, "usage", ""),
         (["--version"], 0, f"adamanip {__version__}\n", ""),
         (["probe"], 0, "", ""),

@@ -11,9 +11,9 @@ from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe
 from PIL import Image
 
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail, compose_sheet
+from lerobot_adamanip.cli.objects import Thumbnail, compose_sheet
+from lerobot_env_adamanip.sim import render_device
 
 
 def test_the_list_needs_no_simulator(capsys: pytest.CaptureFixture[str]) -> None:
@@ -44,23 +44,6 @@ def test_a_folder_of_external_assets_is_checked(
     assert "bottle:b1" in text
     assert "safe:sa2  cannot be used" in text
     assert "2 usable, 2 not" in text
-    assert cli.main(["objects", "--assets", str(tmp_path / "nowhere")]) == 2
-    assert "does not exist" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--category", "teapot"], "category"),
-        (["--objects", "4:4"], "Wrong selection"),
-        (["--columns", "0"], "cannot be drawn"),
-        (["--size", "5"], "cannot be drawn"),
-        (["--out", "sheet.txt"], "Unknown kind of file"),
-    ],
-)
-def test_mistakes_are_one_message(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["objects", *arguments]) == 2
-    assert message in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("count", "columns"), [(1, 9), (5, 2), (6, 3)])
@@ -92,6 +75,6 @@ def test_a_portrait_shows_the_object_and_its_door() -> None:
 def test_a_sheet_is_refused_at_once_where_nothing_renders(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pictures, "can_render", lambda: False)
+    monkeypatch.setattr(render_device, "can_render", lambda: False)
     assert cli.main(["objects", "--category", "safe", "--out", str(tmp_path / "sheet.png")]) == 2
     assert "SAPIEN found no Vulkan device" in capsys.readouterr().err

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from lerobot_adamanip.cli.keyframes import Keyframes
+from lerobot_adamanip.cli.keyframes import KeyframesCommand
 from lerobot_adamanip.cli.main import COMMANDS
 
 HEAVY = ("torch", "lerobot", "pandas", "datasets", "scipy", "sapien", "trimesh", "mani_skill", "pyarrow", "cv2")
@@ -36,7 +36,7 @@ WRONG = (
     "replay x --episode first", "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out",
     "split one", "view", "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor",
     "calibrate x --mounting hand", "report --label", "benchmark --workers x",
-    "expert --category dor", "bench --category dor",
+    "expert --category dor",
 )  # fmt: skip
 
 
@@ -51,4 +51,4 @@ def test_help_and_wrong_options_import_nothing_heavy() -> None:
 def test_defaults_of_keyframes_are_those_of_the_converter(tmp_path: Path) -> None:
     from lerobot_adamanip.recordings.convert import ConvertOptions
 
-    assert Keyframes((tmp_path,), tmp_path).options() == ConvertOptions()
+    assert KeyframesCommand((tmp_path,), tmp_path).options() == ConvertOptions()

@@ -13,15 +13,13 @@ import pytest
 from demos_helpers import ATTEMPTS, HERE, fakes
 
 from lerobot_adamanip.cli import collect as command
-from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli.collect_setup import resolve_images
-from lerobot_adamanip.cli.main import main, parse
-from lerobot_adamanip.cli.push import Push
+from lerobot_adamanip.cli.main import main, parse_command
 from lerobot_adamanip.collection.collect import CollectOptions
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import read_manifest
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_env_adamanip.sim import render_device
 
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--late-starts", "0.5",
           "--max-attempts", str(ATTEMPTS)]  # fmt: skip
@@ -92,8 +90,6 @@ def test_impossible_requests_fail_before_anything_is_recorded(
         ["--objects", "microwave_000"],
         ["--episodes-per-object", "0"],
         ["--workers", "0"],
-        ["--push-to-hub"],
-        ["--push-to-hub", "--repo-id", "local/safes"],
         ["--worker-timeout", "0"],
         ["--late-starts", "2"],
         ["--pose", "fixed"],
@@ -104,30 +100,10 @@ def test_impossible_requests_fail_before_anything_is_recorded(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.usefixtures("in_process")
-def test_it_publishes_only_what_is_complete(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    published: list[tuple[object, ...]] = []
-    monkeypatch.setattr(command, "factories", fakes)
-
-    def publish(push: Push) -> tuple[dict[str, int], None, str]:
-        published.append((push.kind, push.folder, push.repo_id, push.private))
-        return {}, None, ""
-
-    monkeypatch.setattr(Push, "publish", publish)
-    call = parse("collect", [str(tmp_path / "d"), *SMALL, "--push-to-hub", "--repo-id", "me/safes"])
-    assert call.run() == 0
-    assert published == [("dataset", tmp_path / "d", "me/safes", False)]
-    monkeypatch.setattr(command, "factories", lambda: fakes(hopeless="safe_001"))
-    call.root = tmp_path / "e"
-    with pytest.raises(DatasetError):
-        call.run()
-    assert len(published) == 1
-
-
 def test_options_that_do_not_change_the_data_reach_the_collection(tmp_path: Path) -> None:
     line = [str(tmp_path / "d"), "--worker-timeout", "5", "--max-attempts", "3", "--workers", "2", "--allow-missing"]
     expected = CollectOptions(workers=2, worker_timeout=5.0, max_attempts=3, allow_missing=True)
-    assert parse("collect", line).options() == expected
+    assert parse_command("collect", line).options() == expected
 
 
 @pytest.mark.parametrize("renders", [True, False])
@@ -135,7 +111,7 @@ def test_options_that_do_not_change_the_data_reach_the_collection(tmp_path: Path
 def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_choice(
     renders: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pictures, "can_render", lambda: renders)
+    monkeypatch.setattr(render_device, "can_render", lambda: renders)
     root = tmp_path / "dataset"
     line = ["collect", str(root), *SMALL]
     assert main(line) == 0
@@ -146,25 +122,26 @@ def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_c
     assert all("setup_vulkan.sh" in each for each in said)
     has = read_manifest(CollectionPaths(root).manifest).spec.environment.observe_images
     assert has is renders
-    monkeypatch.setattr(pictures, "can_render", lambda: not renders)
+    monkeypatch.setattr(render_device, "can_render", lambda: not renders)
     assert main(line) == 0
     assert "Complete already" in capfd.readouterr().out
-    assert resolve_images((tmp_path / "new", root), False, False) is renders, "a part's choice is that of the whole"
+    assert resolve_images((tmp_path / "new", root), False) is renders, "a part's choice is that of the whole"
 
 
 @pytest.mark.usefixtures("fake")
 def test_pictures_that_are_wanted_and_cannot_be_taken_are_an_error_at_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr(pictures, "can_render", lambda: False)
+    monkeypatch.setattr(render_device, "can_render", lambda: False)
     for more, said in (
-        (["--images"], "no Vulkan device"),
         (["--image-size", "64"], "no Vulkan device"),
-        (["--images", "--no-images"], "Contradicting"),
+        (["--image-size", "1"], "16 ... 2048"),
     ):
         assert main(["collect", str(tmp_path / "dataset"), *SMALL, *more]) == 2
         assert said in capfd.readouterr().err
-    monkeypatch.setattr(pictures, "can_render", lambda: pytest.fail("a typo is told before a renderer is looked for"))
+    monkeypatch.setattr(
+        render_device, "can_render", lambda: pytest.fail("a typo is told before a renderer is looked for")
+    )
     assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--late-starts", "2"]) == 2
     assert main(["collect", str(tmp_path / "dataset"), *SMALL, "--workers", "0"]) == 2
     assert list(tmp_path.iterdir()) == []

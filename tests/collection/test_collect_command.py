@@ -8,14 +8,14 @@ from typing import Any
 import pytest
 
 from lerobot_adamanip.catalog import select_objects
-from lerobot_adamanip.cli import collect_setup as pictures
-from lerobot_adamanip.cli.main import parse
+from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.cards import PYTHON_ONLY, collect_command
 from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_env_adamanip.sim import render_device
 
 _CHANGED: dict[str, Any] = {
     "expert": "static", "expert_strategy": "to_stop", "episodes_per_object": 7, "trials": 2, "seed": 5,
@@ -28,12 +28,12 @@ _CHANGED: dict[str, Any] = {
 
 @pytest.fixture(autouse=True)
 def _something_renders(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "can_render", lambda: True)
+    monkeypatch.setattr(render_device, "can_render", lambda: True)
 
 
 def _parsed(command: str) -> CollectionSpec:
     """As `adamanip` itself parses it."""
-    return parse("collect", command.splitlines()[-1].split()[2:]).spec()  # type: ignore[no-any-return]
+    return parse_command("collect", command.splitlines()[-1].split()[2:]).spec()  # type: ignore[no-any-return]
 
 
 def _options(spec: CollectionSpec) -> object:

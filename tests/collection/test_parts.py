@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from demos_helpers import NoWorkers, fakes, make_spec, patiently, same_bytes
 
-from lerobot_adamanip.cli.main import main, parse
+from lerobot_adamanip.cli.main import main, parse_command
 from lerobot_adamanip.collection import record
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.partial import Part
@@ -116,7 +116,7 @@ def test_parts_divide_the_episodes(tmp_path: Path) -> None:
 
 def test_the_command_takes_a_part_or_adopts_parts(tmp_path: Path) -> None:
     line = ["collect", str(tmp_path / "dataset"), "--part", "1/2"]
-    assert parse("collect", line[1:]).options().part == Part(1, 2)
+    assert parse_command("collect", line[1:]).options().part == Part(1, 2)
     adopting = ["--adopt", str(tmp_path / "a"), str(tmp_path / "b")]
-    assert parse("collect", [line[1], *adopting]).options().adopt == (tmp_path / "a", tmp_path / "b")
-    assert main([*line, *adopting]) == main([*line, "--push-to-hub", "--repo-id", "me/x"]) == 2
+    assert parse_command("collect", [line[1], *adopting]).options().adopt == (tmp_path / "a", tmp_path / "b")
+    assert main([*line, *adopting]) == 2

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from demos_helpers import fakes
 
-from lerobot_adamanip.cli.replay import Replay
+from lerobot_adamanip.cli.replay import ReplayCommand
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.dataset import Dataset
@@ -38,7 +38,7 @@ def test_a_recording_of_other_versions_is_compared_and_said_to_be_one(
     assert result.changed == ("code",)
     assert result.agrees(0.0)
     monkeypatch.setattr(factory, "make_keyframe_env", fakes(code="b").environment)
-    assert Replay(root=finished, episode=0).run() == 0
+    assert ReplayCommand(root=finished, episode=0).run() == 0
     printed = capsys.readouterr()
     assert "Recorded with other versions: code differ." in printed.out
     assert "key frames: " in printed.err  # progress without a terminal
@@ -67,8 +67,8 @@ def test_a_changed_recording_is_noticed(tmp_path: Path, finished: Path) -> None:
     assert result.differences[schema.STATE] == pytest.approx(0.5)
     assert result.differences[schema.POINT_CLOUD] == 0.0
     assert not result.agrees(0.1)
-    assert Replay(root=root, episode=0).run() == 1
-    assert Replay(root=root, episode=0, tolerance=1.0).run() == 0
+    assert ReplayCommand(root=root, episode=0).run() == 1
+    assert ReplayCommand(root=root, episode=0, tolerance=1.0).run() == 0
 
 
 @pytest.mark.usefixtures("fake")
@@ -76,7 +76,7 @@ def test_the_command_prints_one_object_and_writes_a_video(
     tmp_path: Path, finished: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     video = tmp_path / "videos" / "out.mp4"
-    assert Replay(root=finished, episode=1, out=video, json=True).run() == 0
+    assert ReplayCommand(root=finished, episode=1, out=video, json=True).run() == 0
     content = json.loads(capsys.readouterr().out)
     assert content["agrees"] is True
     assert content["success"] is True

@@ -18,8 +18,7 @@ import pytest
 from huggingface_hub import ModelCard
 from records import record
 
-from lerobot_adamanip.cli import collect_setup as pictures
-from lerobot_adamanip.cli.main import parse
+from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cards
 from lerobot_adamanip.datasets.cards import COLUMNS, check_card, dataset_card
@@ -32,6 +31,7 @@ from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.scan import Names, scan
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_env_adamanip.sim import render_device
 
 
 @pytest.fixture
@@ -73,11 +73,11 @@ def test_its_numbers_are_those_of_the_dataset(published: Path, card: str) -> Non
 
 
 def test_its_command_collects_the_same(published: Path, card: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(pictures, "can_render", lambda: True)
+    monkeypatch.setattr(render_device, "can_render", lambda: True)
 
     (line,) = [line for line in card.splitlines() if line.startswith("adamanip collect")]
     assert line.startswith(f"adamanip collect {published.name} ")
-    asked = parse("collect", line.split()[2:]).spec()
+    asked = parse_command("collect", line.split()[2:]).spec()
     made = read_manifest(manifest_path(published)).spec
     assert Manifest(asked).to_json() == Manifest(made).to_json()
 

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning, workspace_cloud
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
+from lerobot_adamanip.contract.schema import PAPER_NUM_POINTS
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, simulated_calibration
 from lerobot_adamanip.hardware.depth_cloud import JUMP, NOTHING_SEEN, depth_cloud, points_in_base
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -154,36 +155,35 @@ POINTS, MEDIAN_MM, P99_MM = 1024, 1.0, 5.0
 
 @pytest.fixture(scope="module")
 def task() -> Any:
-    task = make_task("microwave", cloud_source="raycast")
+    task = make_task("microwave", num_points=PAPER_NUM_POINTS)
     task.reset(seed=501)
     yield task
     task.close()
 
 
 def _camera(task: Any) -> Any:
-    from lerobot_env_adamanip.sim.camera import pinhole
+    from lerobot_env_adamanip.sim.raycast import pinhole
 
-    return pinhole(task.views.camera(task.views.depth_size, "front"))
+    return pinhole(task.cameras.cloud_config)
 
 
 def _calibration(task: Any) -> CameraCalibration:
-    from lerobot_env_adamanip.sim.camera import camera_parameters
+    from lerobot_env_adamanip.sim.raycast import camera_parameters
 
     return simulated_calibration(camera_parameters(_camera(task)))
 
 
 def _distances(task: Any, calibration: CameraCalibration) -> list[Any]:
     """Returns the distances [mm] from the cloud of depth to the simulator's, and from that to the depth's points."""
-    from lerobot_env_adamanip.sim.ray_camera import RaycastSensor
+    from lerobot_env_adamanip.sim.raycast import RaycastSensor
 
-    views = task.views
-    sensor = RaycastSensor(views.camera(views.depth_size, "front"), views.bodies(), views.workspace)
-    pixels, points = sensor.pixels()
-    depth = np.zeros(views.depth_size**2, np.uint16)
+    cameras, workspace, size = task.cameras, task.options.workspace, task.cameras.cloud_config.width
+    pixels, points = RaycastSensor(cameras.cloud_config, cameras.bodies(), workspace).pixels()
+    depth = np.zeros(size**2, np.uint16)
     depth[pixels] = -points[:, 2]
-    depth, dense = depth.reshape(views.depth_size, views.depth_size), views.points()
-    cloud = depth_cloud(depth, calibration, POINTS, views.workspace)
-    own = workspace_cloud(dense, views.workspace, POINTS)
+    depth, dense = depth.reshape(size, size), cameras.points()
+    cloud = depth_cloud(depth, calibration, POINTS, workspace)
+    own = workspace_cloud(dense, workspace, POINTS)
     pairs = ((dense, cloud), (points_in_base(depth, calibration), own))
     return [1e3 * cKDTree(others).query(points)[0] for others, points in pairs]
 
@@ -209,7 +209,7 @@ def test_a_camera_that_is_two_millimetres_beside_is_noticed(task: Any) -> None:
 @pytest.mark.sim
 def test_half_a_pixel_is_counted_as_opencv_does(task: Any) -> None:
     """A wall-to-wall offset that nearest neighbours hardly show: so by the ray of each pixel."""
-    size, matrix = task.views.depth_size, _calibration(task).depth.matrix
+    size, matrix = task.cameras.cloud_config.width, _calibration(task).depth.matrix
     rays = _camera(task).rays().reshape(size, size, 3)
     for row, column in ((0, 0), (17, 200), (size - 1, size // 2)):
         ray = np.linalg.solve(matrix, [column, row, 1.0])

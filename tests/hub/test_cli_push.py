@@ -33,24 +33,3 @@ def test_a_dry_run_lists_and_sends_nothing(published: Path, capsys: pytest.Captu
     assert "repo_id=someone/safes" in told["card"]
     assert main(["push", "dataset", str(published), "--repo-id", "someone/safes", "--dry-run"]) == 0
     assert told["card"] in capsys.readouterr().out
-
-
-@pytest.mark.parametrize(
-    "options",
-    [
-        ["dataset", "--repo-id", "someone/safes"],
-        ["environment", "somewhere", "--repo-id", "someone/safes"],
-        ["environment", "--repo-id", "safes"],
-        ["environment", "--repo-id", "someone/safes", "--release", "1.0"],
-        ["environment", "--repo-id", "someone/safes", "--category", "fridge", "--dry-run"],
-        ["environment", "--repo-id", "someone/safes", "--results", "nothing.json", "--dry-run"],
-        ["model", "nowhere", "--repo-id", "someone/safes"],
-        ["model", "nowhere", "--repo-id", "someone/safes", "--dataset", "local/safes"],
-        ["dataset", "nowhere", "--repo-id", "someone/safes"],
-    ],
-)
-def test_bad_input_is_one_clear_error(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["push", *options]) == 2
-    told = capsys.readouterr().err
-    assert told.count("error: ") == 1
-    assert "allowed:" in told

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -28,8 +27,3 @@ def test_of_children_too_whatever_hf_endpoint_says(run: Any, hub: LoopbackHub, r
     assert "huggingface.co" in refused.read_text()
     assert hub.requests == []
     refused.unlink()
-
-
-def test_loopback_is_free(run: Any, hub: LoopbackHub) -> None:
-    done = run("-c", "import json; from huggingface_hub import HfApi; print(json.dumps(HfApi().whoami()['name']))")
-    assert json.loads(done.stdout) == "someone"

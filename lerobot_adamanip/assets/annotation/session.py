@@ -16,7 +16,7 @@ from lerobot_adamanip.assets.annotation.file import (
     save_annotation,
 )
 from lerobot_adamanip.assets.annotation.proposal import propose, propose_part
-from lerobot_adamanip.assets.convert import assemble
+from lerobot_adamanip.assets.convert import assemble_object
 from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
 from lerobot_adamanip.assets.roles import JointRole, PartRole
 from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
@@ -74,7 +74,7 @@ class Draft:
 
     def object(self) -> ArticulatedObject:
         """Returns the object without collision shapes; raises `ConfigurationError` if the joints conflict."""
-        return assemble(self.urdf, self.annotation, self.posed, solid=False, checked=False)
+        return assemble_object(self.urdf, self.annotation, self.posed, solid=False, checked=False)
 
     def problem(self) -> str:
         """Returns the problem that makes the annotation unusable; empty if there is none."""
@@ -85,7 +85,7 @@ class Draft:
         return ""
 
     def _check(self) -> None:
-        assemble(self.urdf, self.annotation, self.posed, solid=False)
+        assemble_object(self.urdf, self.annotation, self.posed, solid=False)
 
     def set_joint(self, role: JointRole, joint: str) -> None:
         """Sets the joint of a role, with the limits from the URDF."""

@@ -17,7 +17,7 @@ AUTOSAVE_PERIOD = 1.0
 
 
 @dataclass
-class Annotate:
+class AnnotateCommand:
     """Shows an object in the browser with a gripper at each part. Saves adamanip.json into the object's folder.
 
     Part poses are proposed from bounding boxes or from AdaManip's points; refine them by hand. Ctrl-C ends the tool.
@@ -39,7 +39,7 @@ class Annotate:
     def run(self) -> int:
         """Serves the page until interrupted. Returns 0."""
         folders = self._folders()
-        server = start_server(self.host, self.port)
+        server = start_viser(self.host, self.port)
         from lerobot_adamanip.cli.annotate.app import AnnotationApp
 
         print(f"open http://{'localhost' if self.host in ('127.0.0.1', '0.0.0.0') else self.host}:{server.get_port()}")
@@ -65,7 +65,7 @@ class Annotate:
         return [source.folder(identifier) for identifier in source.ids(self.category)]
 
 
-def start_server(host: str, port: int) -> Any:
+def start_viser(host: str, port: int) -> Any:
     """Returns a viser server. Raises `ConfigurationError` if viser is not installed."""
     try:
         import viser

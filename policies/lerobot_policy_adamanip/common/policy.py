@@ -125,14 +125,14 @@ class CloudPolicy(PreTrainedPolicy):
 
     def push_model_to_hub(self, cfg: Any, *args: Any, **kwargs: Any) -> None:
         """Uploads as LeRobot does, with local paths removed from the configurations."""
-        from lerobot_adamanip.hub.portable_config import is_local, shareable_copy
+        from lerobot_adamanip.hub.portable_config import is_local, shareable
 
         kept = self.config
         if is_local(kept.pretrained_path):
             self.config = copy.deepcopy(kept)
             self.config.pretrained_path = None
         try:
-            super().push_model_to_hub(shareable_copy(cfg), *args, **kwargs)
+            super().push_model_to_hub(shareable(cfg), *args, **kwargs)
         finally:
             self.config = kept
 

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Iterator
+import textwrap
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result, require_suffix
 from lerobot_adamanip.cli.progress import show_progress
@@ -16,16 +20,19 @@ from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 
 if TYPE_CHECKING:
     from lerobot_adamanip.assets import AssetReport, AssetSource
-    from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail
     from lerobot_adamanip.objects import ArticulatedObject
 
 OPEN_FRACTION = 0.3
 """Opening of every second object on a sheet, as a fraction of the joint's range."""
 _SIZES = (64, 1024)
+SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+"""Endings of a picture's name."""
+_GAP = 6
+_PAPER, _INK, _PENCIL = (250, 250, 250), (25, 25, 28), (105, 105, 110)
 
 
 @dataclass
-class Objects:
+class ObjectsCommand:
     """Lists the objects of a category and draws a contact sheet with one picture per object, every second one ajar.
 
     With --assets, it checks a folder of external assets: lists the usable ones and the problems of the others.
@@ -63,15 +70,14 @@ class Objects:
             )
         if self.out is not None:
             from lerobot_adamanip.cli.collect_setup import require_renderer
-            from lerobot_adamanip.cli.objects.contact_sheet import SUFFIXES, compose_sheet
 
             require_suffix(self.out, SUFFIXES, "--out objects.png")
             require_renderer()
         chosen, unusable = self._chosen()
         if self.out is not None and chosen:
-            compose_sheet(self._portraits(chosen), columns=self.columns, path=self.out)
+            compose_sheet(self._thumbnails(chosen), columns=self.columns, path=self.out)
         refused = [{"object_id": report.asset_id, "reason": report.problem} for report in unusable]
-        values = {"category": self.category, "objects": [to_json(obj) for obj in chosen], "unusable": refused}
+        values = {"category": self.category, "objects": [object_json(obj) for obj in chosen], "unusable": refused}
         print_result(self.json, {**values, "out": self.out}, "\n".join(self._lines(chosen, unusable)))
         return 0
 
@@ -79,29 +85,28 @@ class Objects:
         """Returns the objects and the unusable external assets."""
         from lerobot_adamanip.catalog import make_object, parse_object_selection
 
-        wanted = tuple(CATEGORIES) if self.category == ALL else (self.category,)
+        categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
         if self.assets is None:
-            return [make_object(name) for each in wanted for name in parse_object_selection(each, self.objects)], []
+            ids = [name for category in categories for name in parse_object_selection(category, self.objects)]
+            return [make_object(name) for name in ids], []
         source = checked_source(self.assets)
         if self.category == ALL and self.assets.is_dir():
-            wanted = tuple(each for each in wanted if source.holds(each))
-        reports = [report for each in wanted for report in source.check(each)]
+            categories = tuple(filter(source.holds, categories))
+        reports = [report for category in categories for report in source.check(category)]
         usable = [source.load(report.asset_id, solid=False) for report in reports if report.usable]
         return usable, [report for report in reports if not report.usable]
 
-    def _portraits(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
-        from lerobot_adamanip.cli.objects.contact_sheet import Thumbnail
-
-        made: list[Thumbnail] = []
+    def _thumbnails(self, chosen: list[ArticulatedObject]) -> list[Thumbnail]:
+        thumbnails: list[Thumbnail] = []
         with show_progress({"photograph": "photographed"}) as progress:
             progress("photograph", 0, len(chosen))
             from lerobot_env_adamanip.sim.thumbnails import render_thumbnail
 
             for number, obj in enumerate(chosen):
                 image = render_thumbnail(obj, size=self.size, open_fraction=OPEN_FRACTION * (number % 2))
-                made.append(Thumbnail(image, obj.object_id, obj.description))
-                progress("photograph", len(made), len(chosen))
-        return made
+                thumbnails.append(Thumbnail(image, obj.object_id, obj.description))
+                progress("photograph", len(thumbnails), len(chosen))
+        return thumbnails
 
     def _lines(self, chosen: list[ArticulatedObject], unusable: list[AssetReport]) -> Iterator[str]:
         for obj in chosen:
@@ -128,7 +133,7 @@ def checked_source(assets: Path) -> AssetSource:
         return AssetSource(assets)
 
 
-def to_json(obj: ArticulatedObject) -> dict[str, Any]:
+def object_json(obj: ArticulatedObject) -> dict[str, Any]:
     """Returns an object as JSON-able data: id, split, size [m], description, parts and joints."""
     from lerobot_adamanip.catalog import object_split
 
@@ -141,3 +146,37 @@ def to_json(obj: ArticulatedObject) -> dict[str, Any]:
         "parts": [part.name for part in obj.parts],
         "joints": {joint.name: {"kind": joint.kind, "limits": list(map(float, joint.limits))} for joint in joints},
     }
+
+
+class Thumbnail(NamedTuple):
+    """A picture (S, S, 3), a name and a description."""
+
+    image: NDArray[np.uint8]
+    name: str
+    description: str
+
+
+def compose_sheet(thumbnails: Sequence[Thumbnail], *, columns: int, path: Path) -> None:
+    """Writes the sheet: rows of ``columns`` pictures of one size with captions below. Creates missing folders."""
+    from PIL import Image, ImageDraw, ImageFont
+
+    side = thumbnails[0].image.shape[0]
+    title, text = (ImageFont.load_default(size) for size in (max(9, side // 16), max(8, side // 20)))
+    width = max(1, int(side / max(1.0, text.getlength("abcdefghij") / 10)))
+    wrapped = [textwrap.wrap(thumbnail.description, width) for thumbnail in thumbnails]
+    line = int(1.3 * text.size) if isinstance(text, ImageFont.FreeTypeFont) else 12
+    caption = int(1.6 * side / 16) + line * max(map(len, wrapped)) + _GAP
+    columns = min(columns, len(thumbnails))
+    rows = -(-len(thumbnails) // columns)
+    size = (columns * (side + _GAP) + _GAP, rows * (side + caption + _GAP) + _GAP)
+    sheet = Image.new("RGB", size, _PAPER)
+    draw: Any = ImageDraw.Draw(sheet)
+    for index, (thumbnail, lines) in enumerate(zip(thumbnails, wrapped, strict=True)):
+        x = _GAP + index % columns * (side + _GAP)
+        y = _GAP + index // columns * (side + caption + _GAP)
+        sheet.paste(Image.fromarray(thumbnail.image), (x, y))
+        draw.text((x + 2, y + side + 3), thumbnail.name, _INK, title)
+        for row, content in enumerate(lines):
+            draw.text((x + 2, y + side + int(1.6 * side / 16) + row * line), content, _PENCIL, text)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    sheet.save(path)

@@ -1,1 +1,0 @@
-"""`adamanip objects`."""

@@ -1,0 +1,207 @@
+"""Measures collection, simulation, observation, training and action on this machine: ``python scripts/bench.py``.
+
+Prints medians of several repeats after a warm-up as JSON, and progress on stderr. Compared items are measured
+alternately, so ratios also hold on a busy machine; times do not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import logging
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from lerobot.datasets.factory import resolve_delta_timestamps
+from lerobot.datasets.lerobot_dataset import LeRobotDatasetMetadata
+from lerobot.policies.factory import make_policy, make_pre_post_processors
+from torch.utils.data import DataLoader, RandomSampler
+
+from lerobot_adamanip.catalog import object_id
+from lerobot_adamanip.cli.collect import factories
+from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.contract.observation import workspace_cloud
+from lerobot_adamanip.contract.pointcloud import Workspace
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
+from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.datasets.dataset import open_dataset
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
+from lerobot_adamanip.episode.rollout import next_goal
+from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
+from lerobot_env_adamanip.simulator import make_task
+from lerobot_policy_adamanip import DP3AdaptiveConfig
+
+CATEGORY, OBJECTS, SEED = "safe", 4, 2025
+WORKERS, BATCH_SIZE, STEPS_PER_REPEAT = 2, 64, 20
+PRESETS = ("diffusion", "fast")
+"""Compared presets of dp3_adaptive."""
+LIMITS = {
+    "episodes_per_minute": ("at least", 8.0),
+    "observation_ms.raycast": ("at most", 15.0),
+    "action_ms.fast.batch_1": ("at most", 100.0),
+}
+"""Expected values on two CPU cores without a GPU."""
+
+
+def median_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[str, float]:
+    """Returns the median time of each action [ms] after a warm-up. The actions alternate."""
+    times: dict[str, list[float]] = {name: [] for name in actions}
+    for _ in range(1 + repeats):
+        for name, action in actions.items():
+            begin = time.perf_counter()
+            action()
+            times[name].append(1e3 * (time.perf_counter() - begin))
+    return {name: round(statistics.median(series[1:]), 3) for name, series in times.items()}
+
+
+def collect_demonstrations(root: Path, per_object: int) -> dict[str, float]:
+    """Collects adaptive demonstrations into ``root``, including the start of the simulators."""
+    names = tuple(object_id(CATEGORY, number) for number in range(OBJECTS))
+    environment = EnvironmentOptions(CATEGORY, observe_images=False)
+    spec = CollectionSpec(environment, names, episodes_per_object=per_object, seed=SEED)
+    summary = collect(root, spec, factories(), CollectOptions(workers=WORKERS))
+    return {
+        "episodes_per_minute": round(summary.episodes_per_minute, 2),
+        "expert_success_rate": round(summary.success_rate, 4),
+        "bytes_per_episode": summary.bytes // max(1, summary.episodes),
+    }
+
+
+def steps_per_second(repeats: int) -> float:
+    """Returns control steps per second."""
+    with contextlib.closing(make_task(CATEGORY, objects=object_id(CATEGORY, 0))) as task:
+        task.reset(seed=SEED)
+        still = np.zeros(task.action_space.shape, np.float32)
+        times = median_ms({"steps": lambda: [task.step(still) for _ in range(STEPS_PER_REPEAT)]}, repeats)
+    return round(1e3 * STEPS_PER_REPEAT / times["steps"], 2)
+
+
+def observation_ms(source: str, repeats: int) -> float:
+    """Returns the median time of an observation after an expert's key frame [ms], for a source of clouds."""
+    times: list[float] = []
+    with contextlib.closing(make_task(CATEGORY, objects=object_id(CATEGORY, 0), cloud_source=source)) as task:
+        while len(times) <= repeats:
+            task.reset(seed=SEED)
+            generator = np.random.default_rng(SEED)
+            expert = factories().expert(CATEGORY, "adaptive", task.placement.annotations, generator=generator)
+            goal = next(expert, None)
+            while goal is not None:
+                feedback = task.execute(goal.action())
+                begin = time.perf_counter()
+                workspace_cloud(task.cameras.points(), Workspace(), DEFAULT_NUM_POINTS)
+                times.append(1e3 * (time.perf_counter() - begin))
+                goal = next_goal(expert, feedback)
+    return round(statistics.median(times[1:]), 3)
+
+
+def policies(root: Path, device: str, repeats: int) -> dict[str, Any]:
+    """Returns the times of a training step and of an action, in one environment and in ten, per preset [ms]."""
+    created = {preset: create_policy(root, preset, device) for preset in PRESETS}
+    steps = median_ms({preset: training_step(device, parts) for preset, parts in created.items()}, repeats)
+    actions = {
+        f"{preset}.batch_{size}": action(device, size, parts) for preset, parts in created.items() for size in (1, 10)
+    }
+    return {"training_ms": steps, "action_ms": median_ms(actions, 3 * repeats)}
+
+
+def create_policy(root: Path, preset: str, device: str) -> tuple[Any, Any, Any, Any]:
+    """Returns policy, preprocessor, postprocessor and dataset as created by lerobot-train."""
+    meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
+    config = DP3AdaptiveConfig(preset=preset, device=device)
+    policy = make_policy(config, ds_meta=meta)
+    processors = make_pre_post_processors(config, dataset_stats=meta.stats)
+    return policy, *processors, open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
+
+
+def training_step(device: str, parts: tuple[Any, Any, Any, Any]) -> Callable[[], None]:
+    """Returns a function that trains the policy with one batch."""
+    policy, before, _, dataset = parts
+    settings = policy.config.get_optimizer_preset()
+    optimizer = settings.build(policy.get_optim_params())
+    batches = iter(DataLoader(dataset, BATCH_SIZE, sampler=RandomSampler(dataset, replacement=True, num_samples=2**20)))
+
+    def step() -> None:
+        policy.train()
+        policy.forward(before(next(batches)))[0].backward()
+        torch.nn.utils.clip_grad_norm_(policy.parameters(), settings.grad_clip_norm)
+        optimizer.step()
+        optimizer.zero_grad()
+        policy.update()
+        synchronize(device)
+
+    return step
+
+
+def action(device: str, size: int, parts: tuple[Any, Any, Any, Any]) -> Callable[[], None]:
+    """Returns a function that computes a first action for ``size`` environments."""
+    policy, before, after, dataset = parts
+    item = dataset[0]
+    latest = {key: item[key][-1] if f"{key}_is_pad" in item else item[key] for key in policy.config.input_features}
+    observation = {key: value.unsqueeze(0).repeat(size, *(1,) * value.dim()) for key, value in latest.items()}
+
+    def act() -> None:
+        policy.eval()
+        policy.reset()
+        with torch.inference_mode():
+            after(policy.select_action(before(observation)))
+        synchronize(device)
+
+    return act
+
+
+def synchronize(device: str) -> None:
+    """Waits for the GPU."""
+    if device == "cuda":
+        torch.cuda.synchronize()
+
+
+def measure(device: str, quick: bool) -> dict[str, Any]:
+    """Returns all measurements, and whether each limit holds."""
+    begin, repeats = time.monotonic(), 3 if quick else 7
+    machine = {**machine_class(), "load": round(os.getloadavg()[0], 2), "torch_threads": torch.get_num_threads()}
+    results: dict[str, Any] = {"commit": present_origin().commit, "machine": machine}
+    with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
+        root = Path(folder) / "demos"
+        parts: tuple[Callable[[], dict[str, Any]], ...] = (
+            lambda: collect_demonstrations(root, 1 if quick else 2),
+            lambda: {"steps_per_second": steps_per_second(3 * repeats)},
+            lambda: {"observation_ms": {source: observation_ms(source, 3 * repeats) for source in CLOUD_SOURCES}},
+            lambda: policies(root, device, repeats),
+        )
+        for part in parts:
+            results |= part()
+            sys.stderr.write(f"[{time.monotonic() - begin:5.0f} s] {', '.join(results)}\n")
+    values = {
+        "episodes_per_minute": results["episodes_per_minute"],
+        "observation_ms.raycast": results["observation_ms"]["raycast"],
+        "action_ms.fast.batch_1": results["action_ms"]["fast.batch_1"],
+    }
+    results["limits"] = {
+        name: {
+            "value": values[name],
+            "limit": f"{side} {bound:g}",
+            "ok": values[name] >= bound if side == "at least" else values[name] <= bound,
+        }
+        for name, (side, bound) in LIMITS.items()
+    }
+    return results
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="fewer episodes and repeats")
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="device of the policies")
+    options = parser.parse_args()
+    logging.getLogger().setLevel(logging.ERROR)
+    with contextlib.redirect_stdout(sys.stderr):
+        measured = measure(options.device, options.quick)
+    sys.stdout.write(json.dumps(measured, indent=2) + "\n")
