@@ -46,7 +46,7 @@ def test_adamanip_commands_parse(words: list[str]) -> None:
     parse(words[1], words[2:])
 
 
-DOWNLOADED = {"lerobot/smolvla_base": "smolvla", "lerobot/pi0_base": "pi0"}
+DOWNLOADED = {"lerobot/smolvla_base": "smolvla"}
 """Checkpoints of the Hub that the documents name, and the kinds of their policies."""
 
 
