@@ -9,6 +9,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import pytest
@@ -188,11 +189,70 @@ def test_motion_limits_are_the_codes() -> None:
     assert written == actual
 
 
-def test_pages_of_the_site_hold_every_command_and_explain_every_option() -> None:
+def option_pages() -> str:
     from make_reference import pages
 
-    text = "\n".join(pages().values())
+    return "\n".join(pages().values())
+
+
+def test_pages_of_the_site_hold_every_command_and_explain_every_option() -> None:
+    text = option_pages()
     assert set(re.findall(r"^## (\w+)$", text, re.MULTILINE)) == set(COMMANDS)
     options = re.findall(r"^\| `(--[\w.-]+)` \|.*\| ([^|]*) \|$", text, re.MULTILINE)
     assert len(options) > 50
     assert [name for name, meaning in options if not meaning] == []
+
+
+def spans(document: str) -> list[str]:
+    """Inline code of a document."""
+    text = re.sub(r"^```.*?^```", "", (ROOT / document).read_text(encoding="utf-8"), flags=re.MULTILINE | re.DOTALL)
+    return re.findall(r"`([^`\n]+)`", text)
+
+
+PRESENT = [document for document in DOCUMENTS if document != "CHANGELOG.md"]
+OTHERS = {
+    "--resume", "--steps", "--policy.path", "--policy.type", "--env.", "--env.categories", "--env.server.endpoint",
+    "--write", "--first-seed", "--result",
+}  # fmt: skip
+"""Options that the documents name of LeRobot and of scripts."""
+
+
+def test_options_in_the_text_exist() -> None:
+    """Those of `adamanip`, of environments and of policies."""
+    import lerobot.policies  # noqa: F401  (this and the next one register configurations)
+    from lerobot.configs.policies import PreTrainedConfig
+
+    import lerobot_env_adamanip  # noqa: F401
+
+    known = OTHERS | set(re.findall(r"`(--[\w.-]+)`", option_pages()))
+    for kind in ("dp3_adaptive", "vat_mart", "adaafford", "sampling", "act", "diffusion"):
+        known |= {f"--policy.{field.name}" for field in dataclasses.fields(PreTrainedConfig.get_choice_class(kind))}
+    gone = {
+        (document, option)
+        for document in PRESENT
+        for span in spans(document)
+        for option in re.findall(r"(?<![\w-])(--(?:env\.|policy\.)[\w.]*|--[a-z-]+(?![\w.]))", span)
+        if option not in known
+    }
+    assert gone == set()
+
+
+def test_files_and_modules_in_the_text_exist() -> None:
+    new = set(re.findall(r"<!-- new: ([\w./]+) -->", "".join((ROOT / page).read_text() for page in PRESENT)))
+    gone = set()
+    for document in PRESENT:
+        for span in spans(document):
+            if re.fullmatch(r"(?:lerobot_adamanip|envs|policies|scripts|tests|examples)/[\w./]*", span):
+                if not (ROOT / span).exists() and span not in new:
+                    gone.add((document, span))
+            elif name := re.fullmatch(
+                r"(lerobot_(?:adamanip|env_adamanip|policy_adamanip)(?:\.\w+)+)(?:\(.*\))?", span
+            ):
+                try:
+                    resolve_name(name[1])
+                except AttributeError:
+                    gone.add((document, span))
+                except ImportError as error:  # of the simulator, where it is not installed
+                    if str(error.name).startswith("lerobot_"):
+                        gone.add((document, span))
+    assert gone == set()
