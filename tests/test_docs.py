@@ -20,7 +20,7 @@ from lerobot_adamanip.cli.main import COMMANDS, parse
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.experts import Outcome, Phase
 
-OFTEN = ("README.md", "docs/extending_robot.md")
+OFTEN = ("README.md", "docs/twin.md")
 """Documents of which the Python blocks run in `make test`; those of the others run every night."""
 
 
