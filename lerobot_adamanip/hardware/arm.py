@@ -102,7 +102,6 @@ class ArmStatus:
         beat: publication time, `time.perf_counter()` [s].
         reading: the arm's state; None if no reading has succeeded.
         accepted: number of the newest target that was passed to the backend; 0 before the first.
-        holding: whether the arm was stopped, by a missing streamed target or a `stop` request.
         fault: reason why targets are refused until `recover`; None without a fault.
         lost: whether the connection is lost; then connect again.
     """
@@ -110,7 +109,6 @@ class ArmStatus:
     beat: float
     reading: ArmReading | None
     accepted: int = 0
-    holding: bool = False
     fault: str | None = None
     lost: bool = False
 

@@ -61,8 +61,17 @@ def points_in_base(
             allowed=f"{intrinsics.width} x {intrinsics.height}",
             hint="the width and height that the camera had when it was calibrated",
         )
-    camera_in_base = _pose(calibration, tcp_in_base)
-    start = _first(stride)
+    camera_in_base = calibration.depth_in_base
+    if camera_in_base is None:
+        if calibration.depth_in_tcp is None or tcp_in_base is None:
+            raise ConfigurationError(
+                f"The pose of camera {calibration.camera} is unknown.",
+                got="no pose" if calibration.depth_in_tcp is None else "a camera on the hand, and no pose of the tool",
+                allowed="its pose in the robot's base, or on the tool with the tool's pose",
+                hint="adamanip calibrate views --record robot.json --out FILE",
+            )
+        camera_in_base = tcp_in_base @ calibration.depth_in_tcp
+    start = (stride - 1) // 2
     chosen = np.asarray(depth[start::stride, start::stride], np.float32)
     kept = np.flatnonzero(_on_a_surface(depth, stride))
     matrix, lens = (np.asarray(part, np.float64).tobytes() for part in (intrinsics.matrix, intrinsics.distortion))
@@ -72,32 +81,13 @@ def points_in_base(
     return np.asarray(points @ rotation.T + position, np.float32)
 
 
-def _first(stride: int) -> int:
-    """Returns the first row and column that are kept."""
-    return (stride - 1) // 2
-
-
-def _pose(calibration: CameraCalibration, tcp_in_base: NDArray[np.float64] | None) -> NDArray[np.float64]:
-    """Returns the pose (4, 4) of the depth imager in the base frame."""
-    if calibration.depth_in_base is not None:
-        return calibration.depth_in_base
-    if calibration.depth_in_tcp is None or tcp_in_base is None:
-        raise ConfigurationError(
-            f"The pose of camera {calibration.camera} is unknown.",
-            got="a camera on the hand, and no pose of the tool" if calibration.depth_in_tcp is not None else "no pose",
-            allowed="its pose in the robot's base, or on the tool with the tool's pose",
-            hint="adamanip calibrate views --record robot.json --out FILE",
-        )
-    return np.asarray(tcp_in_base @ calibration.depth_in_tcp)
-
-
 def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
     """Returns a mask (h, w) of every ``stride``-th pixel that is on a surface.
 
     It excludes pixels that differ from all neighbours, and flying pixels: nearer than one neighbour and farther than
     the opposite one by more than `JUMP`. Thin objects, nearer than both sides, stay.
     """
-    start, (height, width) = _first(stride), depth.shape
+    start, (height, width) = (stride - 1) // 2, depth.shape
     padded = np.zeros((height + 2, width + 2), np.float32)
     padded[1:-1, 1:-1] = depth
 
@@ -121,7 +111,7 @@ def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
 def _rays(matrix: bytes, distortion: bytes, shape: tuple[int, int], stride: int) -> NDArray[np.float32]:
     """Returns undistorted rays (h * w, 3) of depth one through the pixel centres, in scan order."""
     camera, lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
-    rows, columns = (axis.ravel() for axis in np.mgrid[tuple(slice(_first(stride), size, stride) for size in shape)])
+    rows, columns = (axis.ravel() for axis in np.mgrid[tuple(slice((stride - 1) // 2, size, stride) for size in shape)])
     pixels = np.stack([columns, rows], axis=1).astype(np.float64)
     if lens.any():
         import cv2

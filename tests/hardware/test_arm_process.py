@@ -20,6 +20,7 @@ from fake_arm import LOCKSTEP, START_ROTATION, eventually, fake_arm, pose_ahead
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import (
+    ArmMode,
     ArmReading,
     ArmStatus,
     ArmTarget,
@@ -78,14 +79,14 @@ def test_the_newest_of_a_stream_wins_and_a_stream_that_ends_is_held() -> None:
     with fake_arm(speed=0.05) as arm:
         for x in (0.3, -0.3, 1.0):
             arm.send(pose_ahead(arm, x), Execution.STREAM)
-        eventually(arm, lambda status: status.holding)
+        eventually(arm, lambda status: read(status).mode is ArmMode.MOVING)
+        eventually(arm, lambda status: read(status).mode is ArmMode.IDLE)
         assert arm.request("targets")["targets"][-1][0] > 1.0
         stands = position(arm)
         assert 0.5 < stands < 0.6  # on its way, 1 m ahead, when commands stopped
         time.sleep(0.2)
         assert position(arm) == stands
         arm.send(pose_ahead(arm, 0.5), Execution.STREAM)
-        eventually(arm, lambda status: not status.holding)
         eventually(arm, lambda status: position(arm) > stands)
 
 
@@ -225,7 +226,7 @@ RECORDER = """
 import sys, time
 sys.path.insert(0, {helpers!r})
 from fake_arm import fake_arm, pose_ahead
-from lerobot_adamanip.hardware.arm import ArmReading, Execution
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution
 arm = fake_arm(speed=0.05, log={log!r}, connect_takes={takes})
 arm.connect()
 goal = pose_ahead(arm, 1.0)

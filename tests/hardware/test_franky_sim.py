@@ -17,8 +17,6 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
-from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
-from lerobot_adamanip.hardware.backends.franky_sdk import scaled_limits
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
@@ -84,14 +82,13 @@ def act_until(robot: AdamanipFranka, target: np.ndarray, end: float) -> None:
         time.sleep(0.02)
 
 
-def test_connecting_moves_nothing_and_writes_our_limits(arm: SimulatedArm, make: Callable[..., AdamanipFranka]) -> None:
+def test_connecting_moves_nothing(arm: SimulatedArm, make: Callable[..., AdamanipFranka]) -> None:
     robot = make()
     robot.connect()
     connected = arm.now
     arm.pass_time(2000)
     _, poses = arm.poses("p", connected)
     assert np.linalg.norm(poses[:, :3, 3] - poses[0, :3, 3], axis=1).max() < 0.001
-    assert robot.session.details["limits"] == scaled_limits(FrankyOptions(model="fr3", dynamics=0.05))
 
 
 def goals(start: np.ndarray, count: int) -> list[np.ndarray]:
@@ -190,8 +187,6 @@ def test_the_gripper_is_commanded_on_change_and_opens_as_told(
     told = pose(robot)[9] * 0.08
     assert told == pytest.approx(arm.rows("p")[-1]["width"], abs=0.001)
     assert told > 0.075
-    assert robot._client is not None
-    assert robot._client.request("gripper")["commands"] == 3
 
 
 def ticks(robot: AdamanipFranka, openings: list[float]) -> np.ndarray:
@@ -208,14 +203,14 @@ def ticks(robot: AdamanipFranka, openings: list[float]) -> np.ndarray:
     return np.array(took)
 
 
-def test_a_hand_that_moves_delays_no_tick(make: Callable[..., AdamanipFranka]) -> None:
+def test_a_hand_that_moves_delays_no_tick(arm: SimulatedArm, make: Callable[..., AdamanipFranka]) -> None:
     """A tick that waited for the hand, which takes half a second, would add 17 ms to the mean."""
     robot = make()
     robot.connect()
     still = ticks(robot, [1.0] * 270)
     moving = ticks(robot, [float(tick // 30 % 2) for tick in range(270)])
-    assert robot._client is not None
-    assert robot._client.request("gripper")["commands"] >= 4  # of nine; a slow simulator skips some
+    widths = np.array([row["width"] for row in arm.rows("p")])
+    assert np.ptp(widths) > 0.05
     assert moving.mean() - still.mean() < 0.005
 
 

@@ -133,7 +133,7 @@ COLOR, DEPTH = DRAW.integers(0, 255, (8, 6, 3), np.uint8), DRAW.integers(0, 6553
 MESSAGES = [
     READING,
     TARGET,
-    ArmStatus(1e-9, READING, 3, True, fault='ein "Reflex" \u2192 \0'),
+    ArmStatus(1e-9, READING, 3, fault='ein "Reflex" \u2192 \0'),
     ArmStatus(0.0, dataclasses.replace(READING, qvel=np.array([np.nan, np.inf, -0.0]), outcome=None)),
     Start(
         FrankyOptions(address="172.16.0.2", model="fr3"),

@@ -185,7 +185,7 @@ class ArmServer:
             self._fail(problem)
 
     def _publish(self) -> None:
-        state = (self._reading, self._accepted, self._holding, self._fault, self._lost)
+        state = (self._reading, self._accepted, self._fault, self._lost)
         self._status.write(ArmStatus(time.perf_counter(), *state))
 
     # Faults ----------------------------------------------------------------------------------------------------------

@@ -117,7 +117,6 @@ class FrankyBackend:
         self._streamed: Array | None = None
         self._goal_opening = 1.0
         self._gentle_until = -1.0
-        self.limits_read: dict[str, list[float]] = {}
 
     # Connection ------------------------------------------------------------------------------------------------------
 
@@ -128,7 +127,7 @@ class FrankyBackend:
         try:
             self._state = self._robot.state
             check_tool_frame(self._state)
-            self.limits_read = set_limits(self._robot, self._options)
+            set_limits(self._robot, self._options)
             self._robot.set_cartesian_impedance([self._options.stiffness] * 3 + [ROTATIONAL_STIFFNESS] * 3)
             if self._options.gripper:
                 self._hand = GripperThread(lambda: FrankyHand(self._options.address, self._options.grasp_force))
@@ -286,10 +285,4 @@ class FrankyBackend:
 
 def serve_franky(options: FrankyOptions, _: Mapping[str, Mailbox]) -> Served:
     """Returns the backend of the real arm, see `BackendFactory`."""
-    backend = FrankyBackend(options)
-
-    def gripper(_: dict[str, Any]) -> dict[str, Any]:
-        hand = backend._hand
-        return {} if hand is None else {"opening": hand.opening, "commands": hand.commands}
-
-    return Served(backend, {"gripper": gripper}, lambda: {"limits": backend.limits_read})
+    return Served(FrankyBackend(options))

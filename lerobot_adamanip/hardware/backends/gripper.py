@@ -61,7 +61,6 @@ class GripperThread:
 
     Attributes:
         opening: last reading, 0 closed ... 1 open.
-        commands: number of commands sent.
     """
 
     def __init__(self, connect: Callable[[], FrankyHand]) -> None:
@@ -71,7 +70,7 @@ class GripperThread:
         self._wanted: bool | None = None
         self._done: bool | None = None
         self._error = ""
-        self.opening, self.commands = 1.0, 0
+        self.opening = 1.0
         self._hand: FrankyHand | None = None
         self._commander = threading.Thread(target=self._carry_out, name="gripper", daemon=True)
         self._reader = threading.Thread(target=self._keep_reading, name="gripper reader", daemon=True)
@@ -149,7 +148,6 @@ class GripperThread:
     def _command(self) -> None:
         opens = self._wanted
         if self._hand is not None and opens is not None and opens != self._done:
-            self.commands += 1
             self._hand.open() if opens else self._hand.close()
             self._read()
             self._done = opens

@@ -35,7 +35,6 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         self.frames = LatestFrame()
         self._last_number: int | None = None
         self._scale = 1.0
-        self.dropped = 0
         super().__init__(RealSenseCameraConfig(**vars(config)))
 
     def connect(self, warmup: bool = True) -> None:
@@ -83,7 +82,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         if self.use_depth:
             assert self.rs_profile is not None
             self._scale = 1e3 * self.rs_profile.get_device().first_depth_sensor().get_depth_scale()
-        self._last_number, self.dropped = None, 0
+        self._last_number = None
         super()._start_read_thread()
 
     def _stop_read_thread(self) -> None:
@@ -113,12 +112,10 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         color = pair.get_color_frame() if self.use_rgb else None
         depth = pair.get_depth_frame() if self.use_depth else None
         if (self.use_rgb and not color) or (self.use_depth and not depth):
-            self.dropped += 1  # incomplete pair
             return None
         first: Any = depth if self.use_depth else color
         number = int(first.get_frame_number())
-        if number == self._last_number:
-            self.dropped += 1  # the pipeline repeats a frame to pair it with a new frame of the other imager
+        if number == self._last_number:  # the pipeline repeats a frame to pair it with a new one of the other imager
             return None
         self._last_number = number
         return Frame(
