@@ -23,11 +23,6 @@ def valid_rows(valid: Tensor) -> Tensor:
     return rows if len(rows) else rows.new_zeros(1)
 
 
-def surely_none(mask: Tensor) -> bool:
-    """Returns whether no element of a mask is true, as far as is known without waiting for a GPU."""
-    return mask.device.type == "cpu" and not bool(mask.any())
-
-
 def weighted_mean(losses: Tensor, weights: Tensor) -> Tensor:
     """Returns the mean of losses (...) with weights (...); 0 if all weights are zero."""
     return (losses * weights).sum() / weights.sum().clamp(min=1e-6)

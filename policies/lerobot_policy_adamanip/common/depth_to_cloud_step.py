@@ -101,11 +101,15 @@ class DepthToCloudStep(SameFeaturesStep):
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
         """Converts depth (..., H, W, 1) or (..., 1, H, W) [mm] to (..., N, 3) [m]; adds a missing batch dimension."""
-        from lerobot_adamanip.hardware.depth_cloud import depth_cloud  # imports scipy
+        from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform  # imports scipy
+        from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 
         depth = _without_channel(picture.detach().cpu().numpy())
         leading = depth.shape[:-2]
-        poses = self._tool_poses(state, int(np.prod(leading)))
+        poses: list[np.ndarray[Any, np.dtype[np.float64]] | None] = [None] * int(np.prod(leading))
+        if state is not None and state.numel() // state.shape[-1] == len(poses):
+            rows = state.detach().cpu().double().numpy().reshape(len(poses), -1)
+            poses = [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in rows]
         calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
         clouds = [
             depth_cloud(each, calibration, self.num_points, workspace, pose)
@@ -113,25 +117,16 @@ class DepthToCloudStep(SameFeaturesStep):
         ]
         return torch.from_numpy(np.stack(clouds).reshape(*(leading or (1,)), self.num_points, 3))
 
-    def _tool_poses(self, state: Tensor | None, count: int) -> list[np.ndarray[Any, np.dtype[np.float64]] | None]:
-        """Returns ``count`` tool poses (4, 4) from the state; None for each if the numbers of rows differ."""
-        from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform
-
-        if state is None or state.numel() // state.shape[-1] != count:
-            return [None] * count
-        numbers = state.detach().cpu().double().numpy().reshape(count, -1)
-        return [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in numbers]
-
     def _calibration(self) -> CameraCalibration:
         from lerobot_adamanip.hardware.camera_frames import read_calibrations
         from lerobot_adamanip.hardware.robot_registry import ROBOTS
 
         if self.calibration is not None:
             if self._read is None:
-                found = read_calibrations(Path(self.calibration))
-                if self.camera not in found:
-                    raise self._unknown(f"{self.calibration} knows {', '.join(found) or 'no camera'}")
-                self._read = found[self.camera]
+                calibrations = read_calibrations(Path(self.calibration))
+                if self.camera not in calibrations:
+                    raise self._unknown(f"{self.calibration} knows {', '.join(calibrations) or 'no camera'}")
+                self._read = calibrations[self.camera]
             return self._read
         session = ROBOTS.find()
         if session is None:

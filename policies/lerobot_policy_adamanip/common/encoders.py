@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import ClassVar
 
 import torch
 from torch import Tensor, nn
@@ -44,9 +43,6 @@ class PointNetEncoder(nn.Module):
     weights get the same. On a GPU finding the winners would synchronise, so all points pass with a graph.
     """
 
-    winners_only: ClassVar[bool] = True
-    """False computes a graph of all points in training too, for comparison."""
-
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int) -> None:
         super().__init__()
         self.mlp = _mlp((in_dim, *dims))
@@ -55,7 +51,7 @@ class PointNetEncoder(nn.Module):
     def forward(self, points: Tensor) -> Tensor:
         """(B, N, in_dim) -> (B, out_dim)."""
         learning = self.training and torch.is_grad_enabled() and points.device.type == "cpu"
-        pooled = self._maximum_of_winners(points) if learning and self.winners_only else self.mlp(points).amax(dim=-2)
+        pooled = self._maximum_of_winners(points) if learning else self.mlp(points).amax(dim=-2)
         projected: Tensor = self.projection(pooled)
         return projected
 
@@ -92,14 +88,14 @@ def ball_query(centres: Tensor, xyz: Tensor, radius: float, neighbours: int) -> 
     If there are fewer, the nearest one (the centre, if it is a point) is repeated.
     """
     rows = max(1, MAX_DISTANCES // (centres.shape[1] * xyz.shape[1]))
-    found = []
+    indices = []
     for start in range(0, len(xyz), rows):
         part, cloud = centres[start : start + rows].float(), xyz[start : start + rows].float()
         # Not the inner-product form: its rounding makes a centre's distance to itself nonzero.
         distance = torch.cdist(part, cloud, compute_mode="donot_use_mm_for_euclid_dist")
         nearest, index = distance.topk(min(neighbours, cloud.shape[1]), dim=-1, largest=False)
-        found.append(torch.where(nearest <= radius, index, index[..., :1]))
-    return torch.cat(found)
+        indices.append(torch.where(nearest <= radius, index, index[..., :1]))
+    return torch.cat(indices)
 
 
 class SetAbstraction(nn.Module):
@@ -165,10 +161,3 @@ class PointNet2Encoder(nn.Module):
             xyz, features = level(xyz, features)
         projected: Tensor = self.projection(features.amax(dim=-2))
         return projected
-
-
-def make_encoder(name: str, in_dim: int, dims: Sequence[int], out_dim: int, num_points: int) -> nn.Module:
-    """Returns the encoder ``mlp`` or ``pointnet2``."""
-    if name == "mlp":
-        return PointNetEncoder(in_dim, dims, out_dim)
-    return PointNet2Encoder(in_dim, dims, out_dim, num_points)

@@ -174,9 +174,9 @@ class RecordedRows:
         Rows beyond an episode's end are clamped to it, as in LeRobot's windows.
         """
         tensors = self._on(rows.device)
-        wanted = rows[:, None] + torch.as_tensor(steps, dtype=rows.dtype, device=rows.device)
+        shifted = rows[:, None] + torch.as_tensor(steps, dtype=rows.dtype, device=rows.device)
         first, last = (tensors[key][rows, None] for key in (_FIRST, _LAST))
-        return wanted.clamp(first, last), (wanted >= first) & (wanted <= last)
+        return shifted.clamp(first, last), (shifted >= first) & (shifted <= last)
 
     def _on(self, device: torch.device) -> dict[str, Tensor]:
         if device not in self._tensors:

@@ -42,8 +42,8 @@ def cluster_motions(motions: NDArray[np.float32], count: int) -> tuple[Tensor, T
         centres = different
     else:
         some = rows[:: -(-len(rows) // MAX_ROWS)]
-        found = [kmeans2(some, count, minit="++", iter=50, seed=seed)[0] for seed in range(STARTS)]
-        centres = min(found, key=lambda centres: np.square(vq(some, centres)[1]).mean())
+        starts = [kmeans2(some, count, minit="++", iter=50, seed=seed)[0] for seed in range(STARTS)]
+        centres = min(starts, key=lambda centres: np.square(vq(some, centres)[1]).mean())
     labels, _ = vq(rows, centres)
     clusters = range(len(centres))
     spread = np.stack([rows[labels == k].std(axis=0) if (labels == k).any() else 0 * units for k in clusters])

@@ -28,7 +28,7 @@ from lerobot_adamanip.contract.schema import (
 )
 from lerobot_policy_adamanip.common import geometry
 from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
-from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import (
@@ -62,9 +62,9 @@ class DiffusionHead(nn.Module):
         super().__init__()
         self.config, method = config, config.method
         self._predicts_noise = method.prediction_type == "epsilon"
-        self.encoder = make_encoder(
-            method.encoder, point_dim, config.encoder_dims, config.encoder_out_dim, config.num_points
-        )
+        sizes = (point_dim, config.encoder_dims, config.encoder_out_dim)
+        is_pointnet2 = method.encoder == "pointnet2"
+        self.encoder = PointNet2Encoder(*sizes, config.num_points) if is_pointnet2 else PointNetEncoder(*sizes)
         unet = SimpleNamespace(
             action_feature=config.action_feature,
             horizon=config.horizon,

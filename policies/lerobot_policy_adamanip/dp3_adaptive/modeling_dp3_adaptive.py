@@ -22,7 +22,7 @@ from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs
 from lerobot_policy_adamanip.common.contacts import ChoiceMemory
-from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
@@ -311,7 +311,7 @@ class AnchorHead(ToolHead):
         super().__init__()
         self.config = config
         self.motions = TypicalMotions(config.num_anchors)
-        self.encoder = make_encoder("mlp", POINT_DIM, config.encoder_dims, config.encoder_out_dim, config.num_points)
+        self.encoder = PointNetEncoder(POINT_DIM, config.encoder_dims, config.encoder_out_dim)
         features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
         self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
         self.logits = nn.Linear(width, config.num_anchors)

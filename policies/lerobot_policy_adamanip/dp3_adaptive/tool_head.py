@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_policy_adamanip.common import geometry
 from lerobot_policy_adamanip.common.contacts import Past, surely_none
-from lerobot_policy_adamanip.common.encoders import make_encoder
+from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
@@ -207,7 +207,7 @@ class Refiner(nn.Module):
     def __init__(self, steps: int, neighbours: int, instruction_dim: int = 0) -> None:
         super().__init__()
         self.steps, self.neighbours = steps, neighbours
-        self.encoder = make_encoder("mlp", 6, (64, 128), 128, neighbours)
+        self.encoder = PointNetEncoder(POINT_DIM, (64, 128), 128)
         layers = (nn.Linear(128 + instruction_dim, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 8))
         self.out = nn.Sequential(*layers)
 

@@ -81,12 +81,12 @@ def opened_share(
     """
     share = np.zeros(len(moved), np.float32)
     for task in np.unique(tasks):
-        wanted = needed[needed_tasks == task]
-        if not len(wanted):
+        required = needed[needed_tasks == task]
+        if not len(required):
             continue
-        still = np.abs(wanted) <= MAX_STILL_SHARE * np.abs(wanted).max(axis=0)
+        still = np.abs(required) <= MAX_STILL_SHARE * np.abs(required).max(axis=0)
         for plan in np.flatnonzero(tasks == task):
-            covered = moved[plan] * np.sign(wanted) >= MIN_COVERED_SHARE * np.abs(wanted)
+            covered = moved[plan] * np.sign(required) >= MIN_COVERED_SHARE * np.abs(required)
             share[plan] = (covered | still).all(axis=1).mean()
     return share
 
@@ -96,8 +96,8 @@ def _waypoints(demonstrations: Demonstrations, contact: Contact, count: int) -> 
     sent = demonstrations.commands[contact.first : min(contact.end, contact.first + count)]
     if not len(sent):
         sent = contact.grasp[None]
-    found: NDArray[np.float32] = np.concatenate([sent, np.repeat(sent[-1:], count - len(sent), axis=0)])
-    return found.reshape(count, ACTION_DIM)
+    padded: NDArray[np.float32] = np.concatenate([sent, np.repeat(sent[-1:], count - len(sent), axis=0)])
+    return padded.reshape(count, ACTION_DIM)
 
 
 def _moved(demonstrations: Demonstrations, contact: Contact, waypoints: int) -> NDArray[np.float32]:

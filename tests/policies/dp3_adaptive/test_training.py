@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -195,3 +196,22 @@ def test_fine_tuning_on_other_motions_warns(
     monkeypatch.setattr(modeling_dp3_adaptive, "demonstrated_motions", lambda _: (other, other[:, 6]))
     type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
     assert "spreads from every anchor" in caplog.text
+
+
+def test_a_training_step_passes_few_files(make_tiny: MakeTiny, batch_of: Any) -> None:
+    """What a reader has to open to know the default's loss."""
+    policy, before, _, dataset = make_tiny(preset="fast")
+    batch, files = batch_of(dataset, before), set()
+    policy.forward(batch)  # the first batch is checked
+
+    def note(frame: Any, event: str, _: Any) -> None:
+        if event == "call" and "adamanip" in (path := Path(frame.f_code.co_filename)).parent.as_posix():
+            files.add(path)
+
+    sys.setprofile(note)
+    try:
+        policy.forward(batch)
+    finally:
+        sys.setprofile(None)
+    ours = {path for path in files if "site-packages" not in path.parts and "tests" not in path.parts}
+    assert 3 <= len(ours) <= 6, sorted(ours)
