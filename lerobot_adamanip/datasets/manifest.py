@@ -185,8 +185,8 @@ def require_same(stored: Manifest, wanted: Manifest, where: Path) -> None:
         if parts := differing_parts(old, new):
             raise DatasetError(
                 f"{where} {what}: {', '.join(parts)} differ.",
-                got="; ".join(f"{name} = {_told(new.get(name))}" for name in parts),
-                allowed="; ".join(f"{name} = {_told(old.get(name))}" for name in parts),
+                got="; ".join(f"{name} = {_shown(new.get(name))}" for name in parts),
+                allowed="; ".join(f"{name} = {_shown(old.get(name))}" for name in parts),
                 hint=hint,
             )
 
@@ -208,13 +208,8 @@ def _flat(manifest: Manifest) -> dict[str, Any]:
     return {"category": whole["category"], **from_stored(content), **from_stored(environment)}
 
 
-def _told(value: object) -> str:
+def _shown(value: object) -> str:
     return listed(value) if isinstance(value, list | tuple) else repr(value)
-
-
-def _environment(name: str, value: object) -> dict[str, Any]:
-    checked: dict[str, Any] = table(_ENVIRONMENT)(name, value)
-    return checked
 
 
 _VERSIONS = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a version"), 64)
@@ -233,7 +228,7 @@ _ENVIRONMENT: Mapping[str, Check] = {
 }
 _COLLECTION: Mapping[str, Check] = {
     "objects": listing(check_object_id, 1, MAX_OBJECTS),
-    "environment": _environment,
+    "environment": table(_ENVIRONMENT),
     "expert": choice(EXPERT_KINDS),
     "expert_preset": choice(EXPERT_STRATEGIES),
     "late_starts": number(0.0, 1.0),

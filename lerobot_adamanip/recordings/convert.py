@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -17,6 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.datasets.dataset import Dataset, read_back
 from lerobot_adamanip.datasets.editing import merge_into, one_workspace
+from lerobot_adamanip.datasets.episode import to_json
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id
@@ -104,7 +103,14 @@ def convert(
         output.require_room()
         simulated = [each for each in sources if _is_demonstrations(each)]
         chosen = _fitting(options or ConvertOptions(), simulated)
-        recordings = _recordings(sources, simulated, chosen)
+        recordings = [DenseRecording.open(each, chosen.camera) for each in sources if each not in simulated]
+        if not recordings:
+            raise ConfigurationError(
+                "There is no dense recording.",
+                got=", ".join(each.name for each in sources) or "nothing",
+                allowed="one or more recordings of `lerobot-record`",
+                hint="a dataset of key frames needs no conversion; adamanip merge joins several",
+            )
         output.fresh("episodes").mkdir()
         conversion = _Conversion(output.work, chosen, progress)
         shards = list(conversion.shards(recordings))
@@ -115,18 +121,6 @@ def convert(
             merged = merge_into(built, parts, repo_id, functools.partial(progress, "merge")).episodes - len(shards)
         output.publish(built)
     return Converted(len(shards), conversion.ticks, conversion.key_frames, merged, tuple(conversion.skipped))
-
-
-def _recordings(sources: Sequence[Path], simulated: Sequence[Path], options: ConvertOptions) -> list[DenseRecording]:
-    found = [DenseRecording.open(each, options.camera) for each in sources if each not in simulated]
-    if found:
-        return found
-    raise ConfigurationError(
-        "There is no dense recording.",
-        got=", ".join(each.name for each in sources) or "nothing",
-        allowed="one or more recordings of `lerobot-record`",
-        hint="a dataset of key frames needs no conversion; adamanip merge joins several",
-    )
 
 
 def _is_demonstrations(root: Path) -> bool:
@@ -199,7 +193,7 @@ class _Conversion:
                 raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
             self.skipped.append(name)
             return None
-        if options.successful and not recording.tells_success:
+        if options.successful and not recording.has_success:
             episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
         columns = demonstration_columns(
             episode, chosen, lambda tick: recording.pictures(number, begin + tick), calibration, options.rows
@@ -253,11 +247,9 @@ def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id:
     )
     records, lengths = append_shards(dataset, shards, lambda done, total: progress("assemble", done, total))
     write_statistics(root, dataset.meta.features)
-    add_episode_columns(root, {name: [record[name] for record in records] for name in ("success", "key_frames")})
-    texts: dict[str, list[Any]] = {
-        name: [json.dumps(record[name], sort_keys=True) for record in records] for name in ("camera", "recorded")
-    }
-    add_episode_columns(root, texts)
+    columns = {name: [record[name] for record in records] for name in ("success", "key_frames")}
+    columns |= {name: [to_json(record[name]) for record in records] for name in ("camera", "recorded")}
+    add_episode_columns(root, columns)
     files.write_atomically(root / "meta" / "cameras.json", cameras_json([record["camera"] for record in records]))
     files.remove_tree(root / "images")
     files.sync_tree(root)

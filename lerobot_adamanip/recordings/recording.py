@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
@@ -98,40 +96,35 @@ class DenseRecording:
     def __len__(self) -> int:
         return len(self.dataset)
 
-    @cached_property
-    def _rows(self) -> pa.Table:
-        corrected = [INTERVENTION] * (INTERVENTION in self.dataset.features)
-        return self.dataset.column_table([schema.STATE, schema.ACTION, "task_index", *corrected])
-
     def episode(self, number: int) -> DenseEpisode:
         """Returns an episode's columns. Raises `DatasetError` for values that are not finite."""
-        table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
-        states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
+        episode = self.dataset.episode(number)
+        columns = self.dataset.columns(episode)
+        states, asked = (columns[key].astype(np.float32, copy=False) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.dataset.features[key]) for key in (schema.STATE, schema.ACTION))
 
-        def told(wanted: Sequence[str], otherwise: float) -> NDArray[np.float32]:
-            if not self._tells(wanted):
-                return np.full((len(states), len(wanted)), otherwise, np.float32)
+        def scalars(wanted: Sequence[str], default: float) -> NDArray[np.float32]:
+            if not self._has(wanted):
+                return np.full((len(states), len(wanted)), default, np.float32)
             return states[:, [names.index(name) for name in wanted]]
 
-        state = told(schema.STATE_NAMES, np.nan)
+        state = scalars(schema.STATE_NAMES, np.nan)
         if not np.isfinite(state).all() or len(state) < 2:
-            found = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
-            raise _unusable(self.root, found, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
+            got = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
+            raise _unusable(self.root, got, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
         asked = asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]]
-        sent = told(SENT_NAMES, np.nan) if self._tells(SENT_NAMES) else self._accepted(asked, state[0, :10])
+        sent = scalars(SENT_NAMES, np.nan) if self._has(SENT_NAMES) else self._accepted(asked, state[0, :10])
+        corrected = columns.get(INTERVENTION)
         return DenseEpisode(
             state=state,
-            effort=told(schema.EFFORT_NAMES, 0.0),
+            effort=scalars(schema.EFFORT_NAMES, 0.0),
             sent=_targets(sent, state),
-            stamp=told([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
-            outcome=np.rint(told([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
-            success=told([LABEL_NAME], 0.0)[:, 0] > 0.5,
-            task=self.dataset.tasks[table["task_index"][0].as_py()],
+            stamp=scalars([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
+            outcome=np.rint(scalars([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
+            success=scalars([LABEL_NAME], 0.0)[:, 0] > 0.5,
+            task=self.dataset.tasks[int(columns["task_index"][0])],
             asked=asked,
-            corrected=np.asarray(table[INTERVENTION].to_pylist()).reshape(-1).astype(bool)
-            if INTERVENTION in table.column_names
-            else None,
+            corrected=None if corrected is None else corrected.reshape(-1).astype(bool),
         )
 
     def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -146,22 +139,21 @@ class DenseRecording:
             limits = limits_from_json(path.read_bytes())
         except (OSError, ValueError, ConfigurationError) as error:
             got = f"{SAFETY}: {error}"
-            raise _unusable(
-                self.root, got, "the file that the recorder wrote", f"rename {SAFETY}: rows then say what was asked"
-            ) from error
+            hint = f"rename {SAFETY}: rows then say what was asked"
+            raise _unusable(self.root, got, "the file that the recorder wrote", hint) from error
         sent = [first]
         for target in asked[:-1]:
-            let_through = accepted(target, limits)
-            sent.append(sent[-1] if let_through is None else let_through)
+            allowed = accepted(target, limits)
+            sent.append(sent[-1] if allowed is None else allowed)
         return np.stack(sent)
 
-    def _tells(self, wanted: Sequence[str]) -> bool:
+    def _has(self, wanted: Sequence[str]) -> bool:
         return set(wanted) <= set(names_of(self.dataset.features[schema.STATE]))
 
     @property
-    def tells_success(self) -> bool:
+    def has_success(self) -> bool:
         """Whether the recording contains success. Rollouts do not."""
-        return self._tells([LABEL_NAME])
+        return self._has([LABEL_NAME])
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""

@@ -24,7 +24,6 @@ from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Repo
 from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
 from lerobot_adamanip.datasets.dataset import open_dataset
 from lerobot_adamanip.datasets.editing import merge
-from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -149,13 +148,6 @@ def test_a_damage_alone_is_found_and_placed_and_what_a_repair_mends_is_clean(cop
     before = contents(copy)
     assert repair(copy).mended == []  # nothing is left to be done
     assert contents(copy) == before
-
-
-def test_fixed_pose_ranges_are_no_finding(copy: Path) -> None:
-    """As those of version 0.2."""
-    leave_poses_unscaled(copy)
-    assert json.loads((copy / STATS).read_text())[schema.ACTION]["std"][9] == 1.0
-    assert check(copy).clean
 
 
 def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(published: Path, tmp_path: Path) -> None:

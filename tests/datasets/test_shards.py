@@ -34,12 +34,6 @@ def test_an_episode_comes_back_bit_for_bit(tmp_path: Path, episode: RecordedEpis
         np.testing.assert_array_equal(back.columns[key], value)
 
 
-def test_equal_episodes_are_equal_files(tmp_path: Path, episode: RecordedEpisode) -> None:
-    for name in "ab":
-        write_shard(tmp_path / name, episode)
-    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
-
-
 def test_a_file_cut_anywhere_is_not_an_episode(tmp_path: Path, episode: RecordedEpisode) -> None:
     write_shard(tmp_path / "a", episode)
     content = (tmp_path / "a").read_bytes()

@@ -6,6 +6,7 @@ import json
 import shutil
 from collections import Counter
 from pathlib import Path
+from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -14,6 +15,7 @@ from sound_demos import collect_sound
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.attempts import AttemptRecord, count, grouped_by_hidden_value
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.stats import read_stats
@@ -110,3 +112,34 @@ def test_no_dataset_and_half_of_one_are_one_clear_error(demos: Path, tmp_path: P
     (half / "meta" / "attempts.jsonl").write_text('{"odd": 1}\n')
     with pytest.raises(DatasetError, match="invalid values"):
         read_stats(half)
+
+
+# Attempts -----------------------------------------------------------------------------------------------------------
+
+
+def attempt(kept: bool, hidden: dict[str, Any] | None, slot: int = 0) -> AttemptRecord:
+    return AttemptRecord("safe_000", slot, 0, 1, hidden, kept, "success" if kept else "time limit", 9, False)
+
+
+LISTED = [
+    attempt(True, {"locked": True, "angle": 0.5}),
+    attempt(False, {"locked": True, "angle": 1.5}),
+    attempt(True, {"locked": False, "angle": 2.5}),
+    attempt(False, None),
+]
+
+
+def test_every_attempt_counts() -> None:
+    counts = count(LISTED, 3)
+    assert (counts.kept, counts.attempted, counts.given_up) == (2, 4, 1)
+
+
+def test_they_divide_by_each_hidden_value() -> None:
+    groups = grouped_by_hidden_value(LISTED)
+    table = {label: (sum(each.kept for each in group), len(group)) for label, group in groups.items()}
+    assert table["locked = true"] == (1, 2)
+    assert table["locked = false"] == (1, 1)
+    assert table["angle < 1.5"] == (1, 1)
+    assert table["angle >= 1.5"] == (1, 2)
+    assert table["(no layout)"] == (0, 1)
+    assert grouped_by_hidden_value([]) == {}
