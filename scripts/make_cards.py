@@ -36,8 +36,8 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--demo", type=Path, default=ROOT / "outputs" / "demo", help="folder of `make demo`")
     parser.add_argument("--only", choices=("dataset", "model", "environment"), help="write only this card")
-    given = parser.parse_args()
-    demo = given.demo
+    options = parser.parse_args()
+    demo = options.demo
     policy = demo / "train" / "checkpoints" / "last"
     staged: dict[str, Callable[[Path], Staged]] = {
         "dataset": lambda into: stage_dataset(demo / "demos", DATASET, into),
@@ -45,7 +45,7 @@ def main() -> None:
         "environment": environment,
     }
     CARDS.mkdir(exist_ok=True)
-    for name, stage in staged.items() if given.only is None else [(given.only, staged[given.only])]:
+    for name, stage in staged.items() if options.only is None else [(options.only, staged[options.only])]:
         with tempfile.TemporaryDirectory() as scratch:
             card = stage(Path(scratch)).folder / "README.md"
             (CARDS / f"{name}.md").write_text(as_sample(card.read_text(encoding="utf-8")), encoding="utf-8")
