@@ -48,14 +48,14 @@ def convert_asset(folder: Path, category: str, solid: bool = True) -> Articulate
 
 
 def assemble_object(
-    urdf: Urdf, annotation: Annotation, found: Posed, *, solid: bool = True, checked: bool = True
+    urdf: Urdf, annotation: Annotation, at_rest: Posed, *, solid: bool = True, checked: bool = True
 ) -> ArticulatedObject:
     """Returns the object of an annotated URDF.
 
     Args:
         urdf: its description.
         annotation: annotation of the URDF.
-        found: the URDF at rest.
+        at_rest: the URDF at rest.
         solid: whether to add collision shapes; viewing does not need them.
         checked: whether to check the plausibility of sizes, parts and range; an unfinished annotation may fail.
 
@@ -64,11 +64,11 @@ def assemble_object(
     """
     check_joint_roles(urdf, annotation)
     if checked:
-        check_meshes(found, annotation)
-    to_object: Pose = np.linalg.inv(object_frame(found, annotation)).astype(np.float64)
+        check_meshes(at_rest, annotation)
+    to_object: Pose = np.linalg.inv(object_frame(at_rest, annotation)).astype(np.float64)
     leaders = groups(urdf, annotation.joints)
-    origins = {name: (to_object @ pose)[:3, 3] for name, pose in found.poses.items()} | {urdf.root: np.zeros(3)}
-    obj = _Assembly(urdf, annotation, found, to_object, leaders, origins, solid, checked).build()
+    origins = {name: (to_object @ pose)[:3, 3] for name, pose in at_rest.poses.items()} | {urdf.root: np.zeros(3)}
+    obj = _Assembly(urdf, annotation, at_rest, to_object, leaders, origins, solid, checked).build()
     if checked and (reason := infeasible(obj)) is not None:
         raise broken(
             urdf.path,
@@ -77,7 +77,7 @@ def assemble_object(
             f"joints that go {GOAL_MARGIN:g} times as far as the goal, or farther",
             hint=f"set how far the joint goes: {annotate_hint(urdf.path, annotation.category)}",
         )
-    tell_left_out(found)
+    tell_left_out(at_rest)
     return obj
 
 
@@ -110,7 +110,7 @@ class _Assembly:
 
     urdf: Urdf
     annotation: Annotation
-    found: Posed
+    at_rest: Posed
     to_object: Pose
     leaders: Mapping[str, str]
     origins: Mapping[str, Array]
@@ -121,7 +121,7 @@ class _Assembly:
         links = tuple(self._link(name) for name in sorted(set(self.leaders.values()), key=self._order))
         lower, upper = self._box(links)
         depth, width, height = (float(length) for length in upper - lower)
-        roles, names = ROLES[self.annotation.category].parts, left_out(self.found)
+        roles, names = ROLES[self.annotation.category].parts, left_out(self.at_rest)
         without = f", without {names}" if names else ""
         return ArticulatedObject(
             f"{self.annotation.category}:{self.urdf.path.parent.name}",
@@ -146,8 +146,8 @@ class _Assembly:
         into = transform(-self.origins[name]) @ self.to_object
         shapes: list[Shape] = []
         for member in members:
-            shapes += [_mesh(each.vertices, each.faces, into, each.color) for each in self.found.visuals[member]]
-            for surface in self.found.collisions[member] if self.solid else ():
+            shapes += [_mesh(each.vertices, each.faces, into, each.color) for each in self.at_rest.visuals[member]]
+            for surface in self.at_rest.collisions[member] if self.solid else ():
                 shapes += [_mesh(vertices, faces, into, None) for vertices, faces in convex_parts(surface)]
         mass = sum(self.urdf.links[member].mass or 0.0 for member in members)
         above = self.urdf.joint_above(name)
@@ -157,7 +157,7 @@ class _Assembly:
         role = next(r for r in roles.joints if self.annotation.joints[r.name].joint == above.name)
         mass = _plausible(mass, FINAL_MASS if role is roles.final else KEY_MASS)
         parent = self.leaders[above.parent]
-        axis = self.to_object[:3, :3] @ self.found.poses[name][:3, :3] @ np.asarray(above.axis)
+        axis = self.to_object[:3, :3] @ self.at_rest.poses[name][:3, :3] @ np.asarray(above.axis)
         choice, offset = self.annotation.joints[role.name], self.origins[name] - self.origins[parent]
         return Link(name, tuple(shapes), mass, parent, _joint(role, choice, axis, offset, self.annotation.scale))
 
@@ -179,7 +179,7 @@ class _Assembly:
             raise broken(where, what, repr(choice.link), ", ".join(self.leaders))
         grasp = choice.grasp
         if choice.frame == "link":
-            grasp = self.to_object @ self.found.poses[choice.link] @ grasp
+            grasp = self.to_object @ self.at_rest.poses[choice.link] @ grasp
         part = annotate(links, self.leaders[choice.link], role.name, grasp, choice.rolls)
         carried = {motion.joint for motion in part.motions}
         away = float(np.max(np.maximum(lower - grasp[:3, 3], grasp[:3, 3] - upper)))

@@ -45,7 +45,7 @@ class Posed:
 
     def bounds(self, links: set[str] | None = None) -> tuple[Array, Array]:
         """Returns the corners (3,), (3,) of the box around the visible shapes of the links (all if None)."""
-        points = [s.vertices for name, found in self.visuals.items() if links is None or name in links for s in found]
+        points = [s.vertices for name, parts in self.visuals.items() if links is None or name in links for s in parts]
         if not points:
             raise broken(self.urdf.path, "has nothing to be seen.", "no visual shapes", "a visual mesh")
         every = np.concatenate(points)
@@ -69,18 +69,18 @@ def posed(urdf: Urdf, annotation: Annotation) -> Posed:
     folder, scale = urdf.path.parent, annotation.scale
 
     def described(name: str, elements: tuple[Geometry, ...]) -> Described:
-        found: list[Surface] = []
+        placed: list[Surface] = []
         missing: list[str] = []
         to_root = poses[name]
         for element in elements:
             try:
-                found += [
+                placed += [
                     Surface(s.vertices * scale @ to_root[:3, :3].T + to_root[:3, 3], s.faces, s.color)
                     for s in surfaces(folder, element)
                 ]
             except MissingFileError:
                 missing.append(element.mesh)
-        return tuple(found), tuple(missing)
+        return tuple(placed), tuple(missing)
 
     seen = {name: described(name, link.visuals) for name, link in urdf.links.items()}
     solid = {name: described(name, link.collisions) for name, link in urdf.links.items()}
@@ -148,17 +148,17 @@ def groups(urdf: Urdf, joints: Mapping[str, JointChoice]) -> dict[str, str]:
     return {link: leader(link) for link in urdf.links}
 
 
-def object_frame(found: Posed, annotation: Annotation) -> Pose:
+def object_frame(at_rest: Posed, annotation: Annotation) -> Pose:
     """Returns the object frame (4, 4) in the URDF's root frame [m]: on the floor, at the middle of the front.
 
     The front is that of the static links, if they have shapes; a protruding handle does not count.
     """
     if annotation.object_in_urdf is not None:
         return annotation.object_in_urdf
-    lower, upper = found.bounds()
-    leaders = groups(found.urdf, annotation.joints)
-    still = {name for name, leader in leaders.items() if leader == found.urdf.root}
+    lower, upper = at_rest.bounds()
+    leaders = groups(at_rest.urdf, annotation.joints)
+    still = {name for name, leader in leaders.items() if leader == at_rest.urdf.root}
     front = lower[0]
-    if any(found.visuals[name] for name in still):
-        front = found.bounds(still)[0][0]
+    if any(at_rest.visuals[name] for name in still):
+        front = at_rest.bounds(still)[0][0]
     return transform((front, (lower[1] + upper[1]) / 2, lower[2]), FRONT_TO_X)

@@ -61,14 +61,14 @@ def surfaces(folder: Path, geometry: Geometry) -> tuple[Surface, ...]:
         parts = ((trimesh.creation.icosphere(subdivisions=2, radius=size[0]), None),)
     else:
         parts = ((trimesh.creation.cylinder(radius=size[0], height=size[1], sections=32), None),)
-    made = []
+    placed = []
     for mesh, color in parts:
         faces = np.asarray(mesh.faces, np.int64)
         if np.linalg.det(to_link[:3, :3]) < 0:
             faces = faces[:, ::-1]
         vertices = np.asarray(mesh.vertices, np.float64) @ to_link[:3, :3].T + to_link[:3, 3]
-        made.append(Surface(vertices, faces, geometry.color or color or GREY))
-    return tuple(made)
+        placed.append(Surface(vertices, faces, geometry.color or color or GREY))
+    return tuple(placed)
 
 
 def _mesh_parts(folder: Path, name: str) -> tuple[tuple[Any, tuple[float, float, float] | None], ...]:
@@ -194,15 +194,15 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
     except Exception as error:
         logger.warning("CoACD failed (%s): a part that is not convex collides as its hull", error)
         return []
-    found = [np.asarray(part[0], np.float64) for part in parts]
+    hulls = [np.asarray(part[0], np.float64) for part in parts]
     content = io.BytesIO()
-    np.savez(cast(Any, content), *found)
+    np.savez(cast(Any, content), *hulls)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_atomically(path, content.getvalue())
     except OSError as error:
         logger.warning("convex parts are not kept: %s", error)
-    return found
+    return hulls
 
 
 def convex_cache_folder() -> Path:

@@ -26,21 +26,21 @@ HELD = 0.04
 """Maximum distance of a held mesh from the tool centre point: the finger opening to one side [m]."""
 
 
-def check_meshes(found: Posed, annotation: Annotation) -> None:
+def check_meshes(at_rest: Posed, annotation: Annotation) -> None:
     """Raises `ConfigurationError` if an important part has no mesh or an implausible size."""
-    _require_meshes(found, annotation)
-    _require_sizes(found, annotation)
+    _require_meshes(at_rest, annotation)
+    _require_sizes(at_rest, annotation)
 
 
-def left_out(found: Posed) -> str:
+def left_out(at_rest: Posed) -> str:
     """Returns the missing meshes of a URDF, as text for descriptions; empty if none is missing."""
-    return listed(list(dict.fromkeys(repr(name) for missing in found.missing.values() for name in missing)))
+    return listed(list(dict.fromkeys(repr(name) for missing in at_rest.missing.values() for name in missing)))
 
 
-def tell_left_out(found: Posed) -> None:
+def tell_left_out(at_rest: Posed) -> None:
     """Warns once about missing meshes and about mimic joints, which do not move here."""
-    path, followers = found.urdf.path, [joint for joint in found.urdf.moving if joint.mimic is not None]
-    if names := left_out(found):
+    path, followers = at_rest.urdf.path, [joint for joint in at_rest.urdf.moving if joint.mimic is not None]
+    if names := left_out(at_rest):
         warn_once_about_asset(f"{path}: names files that are missing, which are left out: {names}")
     for joint in followers:
         assert joint.mimic is not None
@@ -49,47 +49,47 @@ def tell_left_out(found: Posed) -> None:
         )
 
 
-def _require_meshes(found: Posed, annotation: Annotation) -> None:
+def _require_meshes(at_rest: Posed, annotation: Annotation) -> None:
     """Requires meshes for moving links, held links, and at least one static link."""
-    urdf, roles = found.urdf, ROLES[annotation.category]
+    urdf, roles = at_rest.urdf, ROLES[annotation.category]
     children = {joint.name: joint.child for joint in urdf.joints}
     matter = [children[annotation.joints[role.name].joint] for role in roles.joints]
     matter += [part.link for part in annotation.parts.values()]
     leaders = groups(urdf, annotation.joints)
     still = [name for name, leader in leaders.items() if leader == urdf.root]
     for links in (*([name] for name in matter), still):
-        missing = [mesh for name in links for mesh in found.missing.get(name, ())]
-        if missing and not any(found.visuals.get(name) for name in links):
+        missing = [mesh for name in links for mesh in at_rest.missing.get(name, ())]
+        if missing and not any(at_rest.visuals.get(name) for name in links):
             raise missing_file(urdf.path.parent, missing[0])
     for part in annotation.parts.values():
         group = [name for name, leader in leaders.items() if leader == leaders.get(part.link)]
-        gaps = [mesh for name in group for mesh in found.missing.get(name, ())]
-        if gaps and not _is_held(found, annotation, part, group):
+        gaps = [mesh for name in group for mesh in at_rest.missing.get(name, ())]
+        if gaps and not _is_held(at_rest, annotation, part, group):
             raise missing_file(urdf.path.parent, gaps[0])
 
 
-def _is_held(found: Posed, annotation: Annotation, part: PartChoice, links: Iterable[str]) -> bool:
+def _is_held(at_rest: Posed, annotation: Annotation, part: PartChoice, links: Iterable[str]) -> bool:
     from scipy.spatial import cKDTree
     from trimesh import Trimesh
     from trimesh.sample import sample_surface
 
-    frame = found.poses[part.link] if part.frame == "link" else object_frame(found, annotation)
+    frame = at_rest.poses[part.link] if part.frame == "link" else object_frame(at_rest, annotation)
     points = [
         sample_surface(Trimesh(surface.vertices, surface.faces, process=False), 4000, seed=0)[0]
         for name in links
-        for surface in found.visuals[name]
+        for surface in at_rest.visuals[name]
     ]
     return bool(points) and bool(cKDTree(np.concatenate(points)).query((frame @ part.grasp)[:3, 3])[0] < HELD)
 
 
-def _require_sizes(found: Posed, annotation: Annotation) -> None:
+def _require_sizes(at_rest: Posed, annotation: Annotation) -> None:
     """Checks visual and collision sizes: a wrong unit makes a part tens of times too large or too small."""
-    roles, urdf = ROLES[annotation.category], found.urdf
+    roles, urdf = ROLES[annotation.category], at_rest.urdf
     whole = max(SMALLEST, roles.typical_size / OFF), min(LARGEST, OFF * roles.typical_size)
-    for surfaces in (found.visuals, found.collisions):
+    for surfaces in (at_rest.visuals, at_rest.collisions):
         for role in reversed(roles.joints):  # smaller part first: its error is more specific
             joint = next(each for each in urdf.joints if each.name == annotation.joints[role.name].joint)
-            longest, (smallest, largest) = _longest(surfaces, _below(urdf, joint.child)), role.extents
+            longest, (smallest, largest) = _longest(surfaces, urdf.below(joint.child)), role.extents
             what = f"is of a size no {annotation.category} has." if longest else "moves no shape."
             bounds = smallest / OFF, min(LARGEST, OFF * largest)
             _require_size(urdf, annotation.category, f"its {role.name} {what}", longest, bounds)
@@ -109,11 +109,3 @@ def _longest(surfaces: Mapping[str, tuple[Surface, ...]], links: Iterable[str]) 
     """Returns the longest side of the box around links, in the root frame [m]; 0 without shapes."""
     points = [surface.vertices for name in links for surface in surfaces[name]]
     return float(np.ptp(np.concatenate(points), axis=0).max()) if points else 0.0
-
-
-def _below(urdf: Urdf, link: str) -> list[str]:
-    """Returns a link and all its descendants."""
-    links = [link]
-    for name in links:  # grows during iteration
-        links += [joint.child for joint in urdf.joints if joint.parent == name]
-    return links

@@ -83,9 +83,9 @@ def _problem_cached(placement_problem: PlacementCheck | None, folder: Path, cate
     try:
         obj = _load_cached(folder, category, False, stamps)
     except (ConfigurationError, OSError) as error:
-        told = str(error).replace(f"{folder}/", "").replace(f"{folder.resolve()}/", "").splitlines()
-        facts = [line.split(":", 1)[1].strip() for line in told[1:] if line.strip().startswith("got:")]
-        return " ".join([told[0], *(f"({fact})" for fact in facts)])
+        lines = str(error).replace(f"{folder}/", "").replace(f"{folder.resolve()}/", "").splitlines()
+        facts = [line.split(":", 1)[1].strip() for line in lines[1:] if line.strip().startswith("got:")]
+        return " ".join([lines[0], *(f"({fact})" for fact in facts)])
     return "" if placement_problem is None else placement_problem(obj)
 
 
@@ -131,8 +131,8 @@ class AssetSource:
         Raises:
             ConfigurationError: the directory does not exist, or has no object of that category.
         """
-        found = self._found(category)
-        return tuple(each.asset_id for each in found if each.usable) or self._usable(category, found)
+        candidates = self._candidates(category)
+        return tuple(each.asset_id for each in candidates if each.usable) or self._usable(category, candidates)
 
     def folder(self, identifier: str) -> Path:
         """Returns the folder of an object; raises `ConfigurationError` if the id or the folder does not exist."""
@@ -163,10 +163,10 @@ class AssetSource:
                 are rejected, because only the user knows which objects were seen in training.
         """
         if selection in ("seen", "all"):
-            return self._usable(category, self._found(category))
+            return self._usable(category, self._candidates(category))
         chosen: tuple[str, ...] = ()
         if match := re.fullmatch(r"(\d+):(\d+)", selection):
-            named = [each for each in self._found(category) if each.usable]
+            named = [each for each in self._candidates(category) if each.usable]
             if within := named[int(match[1]) : int(match[2])]:
                 return self._usable(category, within)
         elif selection not in ("unseen", "novel"):
@@ -188,20 +188,20 @@ class AssetSource:
 
     def check(self, category: str) -> tuple[AssetReport, ...]:
         """Returns a report for each folder of a category; raises `ConfigurationError` if there is none."""
-        return tuple(self._report(category, each) for each in self._found(category))
+        return tuple(self._report(category, each) for each in self._candidates(category))
 
-    def _report(self, category: str, found: AssetReport) -> AssetReport:
-        path = _named(found.folder)
-        problem = found.problem or _problem_cached(self.placement_problem, path, category, _stamps(path))
-        return replace(found, problem=problem)
+    def _report(self, category: str, candidate: AssetReport) -> AssetReport:
+        path = _named(candidate.folder)
+        problem = candidate.problem or _problem_cached(self.placement_problem, path, category, _stamps(path))
+        return replace(candidate, problem=problem)
 
     def _of_category(self, category: str) -> list[AssetReport]:
         folders = _folders(Path(self.directory), require_choice("category", category, ROLES))
         return [each for each in folders if _category_of(each.folder) in (None, category)]
 
-    def _found(self, category: str) -> list[AssetReport]:
-        if found := self._of_category(category):
-            return found
+    def _candidates(self, category: str) -> list[AssetReport]:
+        if candidates := self._of_category(category):
+            return candidates
         raise ConfigurationError(
             f"No {category} found.",
             got=str(self.directory),
@@ -209,8 +209,8 @@ class AssetSource:
             hint="the folder into which you unpacked the assets",
         )
 
-    def _usable(self, category: str, found: Sequence[AssetReport]) -> tuple[str, ...]:
-        reports = [self._report(category, each) for each in found]
+    def _usable(self, category: str, candidates: Sequence[AssetReport]) -> tuple[str, ...]:
+        reports = [self._report(category, each) for each in candidates]
         usable = tuple(report.asset_id for report in reports if report.usable)
         listed = "\n".join(f"  {report.asset_id}: {report.problem}" for report in reports if not report.usable)
         check = f"adamanip objects --assets {shlex.quote(str(self.directory))} --category {category}"
@@ -238,7 +238,7 @@ def _folders(directory: Path, category: str) -> list[AssetReport]:
         )
     inner = [directory / name for name in ROLES[category].folders if (directory / name).is_dir()]
     used: dict[str, Path] = {}
-    found = []
+    candidates = []
     for folder in (folder for place in inner or [directory] for folder in place.iterdir()):
         if folder.name.startswith(".") or not os.path.isfile(folder / URDF_NAME):
             continue
@@ -247,8 +247,8 @@ def _folders(directory: Path, category: str) -> list[AssetReport]:
             problem = f"{other}/ has a folder of the same name, which is used: rename this one in {folder.parent.name}/"
         # Non-printable characters are escaped.
         shown = "".join(each if each.isprintable() else ascii(each)[1:-1] for each in folder.name)
-        found.append(AssetReport(f"{category}:{shown}", problem, folder))
-    return sorted(found, key=lambda each: (each.folder.name, not each.usable))
+        candidates.append(AssetReport(f"{category}:{shown}", problem, folder))
+    return sorted(candidates, key=lambda each: (each.folder.name, not each.usable))
 
 
 def _category_of(folder: Path) -> str | None:

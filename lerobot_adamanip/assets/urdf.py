@@ -96,6 +96,13 @@ class Urdf:
         """All independent joints."""
         return tuple(joint for joint in self.moving if joint.mimic is None)
 
+    def below(self, link: str) -> list[str]:
+        """Returns a link and all its descendants."""
+        links = [link]
+        for name in links:  # grows during iteration
+            links += [joint.child for joint in self.joints if joint.parent == name]
+        return links
+
     def joint_above(self, link: str) -> UrdfJoint | None:
         """Returns the joint whose child is ``link``; None for the root."""
         return next((joint for joint in self.joints if joint.child == link), None)

@@ -120,9 +120,9 @@ def _version(name: str) -> tuple[bool, str]:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:
         return False, "not installed"
-    wanted = ranges[name].specifier if name in ranges else None
-    fits = wanted is None or wanted.contains(Version(version), prereleases=True)
-    return fits, version if fits else f"{version}, wanted {wanted}"
+    specifier = ranges[name].specifier if name in ranges else None
+    fits = specifier is None or specifier.contains(Version(version), prereleases=True)
+    return fits, version if fits else f"{version}, wanted {specifier}"
 
 
 def check_opencv() -> CheckResult:
@@ -155,12 +155,12 @@ def check_plugin() -> Iterator[CheckResult]:
     except Exception as error:
         yield CheckResult("LeRobot plugin", False, f"import failed: {type(error).__name__}: {error}", advice)
         return
-    for option, wanted, choices in (
+    for option, names, choices in (
         ("--env.type", ENV_TYPES, EnvConfig.get_known_choices()),
         ("--policy.type", POLICY_TYPES, PreTrainedConfig.get_known_choices()),
     ):
-        missing = [name for name in wanted if name not in choices]
-        found = f"not registered: {', '.join(missing)}" if missing else ", ".join(wanted)
+        missing = [name for name in names if name not in choices]
+        found = f"not registered: {', '.join(missing)}" if missing else ", ".join(names)
         yield CheckResult(f"LeRobot {option}", not missing, found, advice)
 
 

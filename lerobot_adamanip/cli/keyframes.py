@@ -99,10 +99,10 @@ class KeyframesCommand:
         from lerobot_adamanip.recordings.convert import convert
 
         with show_progress(_STAGES) as progress:
-            made = convert(self.sources, self.out, self.options(), progress)
-        mixed = f", and {made.simulated} of other datasets" if made.simulated else ""
-        counts = f"{made.episodes} episodes, {made.key_frames} key frames of {made.ticks} ticks"
-        skipped = [f"skipped, nothing moves in it: {name}" for name in made.skipped]
+            result = convert(self.sources, self.out, self.options(), progress)
+        mixed = f", and {result.simulated} of other datasets" if result.simulated else ""
+        counts = f"{result.episodes} episodes, {result.key_frames} key frames of {result.ticks} ticks"
+        skipped = [f"skipped, nothing moves in it: {name}" for name in result.skipped]
         text = "\n".join([f"{counts}{mixed}, in {self.out}", *skipped])
-        print_result(self.json, {"out": self.out, **asdict(made)}, text)
+        print_result(self.json, {"out": self.out, **asdict(result)}, text)
         return 0

@@ -30,36 +30,36 @@ class StatsCommand:
         """Counts and prints. Returns 0."""
         from lerobot_adamanip.datasets.stats import read_stats
 
-        found = read_stats(self.root)
-        print_result(self.json, found.to_json(), "\n".join(_lines(found)))
+        stats = read_stats(self.root)
+        print_result(self.json, stats.to_json(), "\n".join(_lines(stats)))
         return 0
 
 
-def _cells(found: GroupStats) -> Iterator[str]:
-    yield str(found.episodes)
-    yield f"{found.key_frames}, {found.key_frames / max(1, found.episodes):.1f} each"
-    for tries in (found.tries, found.failed_tries):
-        yield f"{tries}, {tries / found.labelled:.2f} each" if found.labelled else "-"
-    yield "-" if not found.recovered.episodes else f"{found.recovered.count}/{found.recovered.episodes}"
-    yield interval_text(found.success)
+def _cells(group: GroupStats) -> Iterator[str]:
+    yield str(group.episodes)
+    yield f"{group.key_frames}, {group.key_frames / max(1, group.episodes):.1f} each"
+    for tries in (group.tries, group.failed_tries):
+        yield f"{tries}, {tries / group.labelled:.2f} each" if group.labelled else "-"
+    yield "-" if not group.recovered.episodes else f"{group.recovered.count}/{group.recovered.episodes}"
+    yield interval_text(group.success)
 
 
-def _lines(found: DatasetStats) -> Iterator[str]:
+def _lines(stats: DatasetStats) -> Iterator[str]:
     titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
-    yield markdown_table(titles, ([group.label, *_cells(each)] for group, each in found.groups.items()), align=True)
+    yield markdown_table(titles, ([group.label, *_cells(values)] for group, values in stats.groups.items()), align=True)
     yield ""
-    lengths = found.length_summary()
-    told = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
-    yield f"Key frames of an episode: {told}"
-    if found.failures:
-        yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in found.failures.items())}"
-    if unlabelled := found.overall.episodes - found.overall.labelled:
+    lengths = stats.length_summary()
+    summary = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
+    yield f"Key frames of an episode: {summary}"
+    if stats.failures:
+        yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in stats.failures.items())}"
+    if unlabelled := stats.overall.episodes - stats.overall.labelled:
         yield f"Recorded on a robot, without labels of tries: {unlabelled} episodes"
-    yield f"Objects: {found.objects}. Late starts: {found.late}. Rows: {found.rows}. Size: {found.bytes / 1e6:.1f} MB"
-    if found.recovery is not None:
-        yield f"Failed tries repeated unchanged: {interval_text(found.recovery.repeated)}"
-    if found.attempts is not None:
-        yield f"Attempts kept: {interval_text(found.attempts.kept)}; given up: {found.attempts.given_up}"
-        if found.attempts.kept.count < found.attempts.kept.episodes:
-            for label, (kept, tried) in found.attempts.hidden.items():
+    yield f"Objects: {stats.objects}. Late starts: {stats.late}. Rows: {stats.rows}. Size: {stats.bytes / 1e6:.1f} MB"
+    if stats.recovery is not None:
+        yield f"Failed tries repeated unchanged: {interval_text(stats.recovery.repeated)}"
+    if stats.attempts is not None:
+        yield f"Attempts kept: {interval_text(stats.attempts.kept)}; given up: {stats.attempts.given_up}"
+        if stats.attempts.kept.count < stats.attempts.kept.episodes:
+            for label, (kept, tried) in stats.attempts.hidden.items():
                 yield f"  {label}: {kept} of {tried}"

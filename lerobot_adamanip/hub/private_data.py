@@ -38,8 +38,8 @@ def find_secrets(text: str) -> Iterator[tuple[str, str]]:
         for match in re.finditer(pattern, text):
             yield name, _shortened(match.group())
     for detector in _DETECTORS:
-        for found in detector.analyze_string(text):
-            yield detector.secret_type, _shortened(found)
+        for secret in detector.analyze_string(text):
+            yield detector.secret_type, _shortened(secret)
 
 
 def _shortened(secret: str) -> str:
@@ -79,22 +79,22 @@ def find_addresses(text: str) -> Iterator[tuple[str, str]]:
     no version mark such as ``==`` before it, or nearby words or a port indicate an address. Loopback, unspecified and
     documentation addresses are ignored.
     """
-    for found in _IPV4.finditer(text):
-        if _is_ipv4(found.group(), text[max(0, found.start() - 24) : found.start()], text[found.end() :][:8]):
-            yield "address", found.group()
-    for found in _IPV6.finditer(text):
-        if _is_ipv6(found.group()):
-            yield "address", found.group()
-    for found in _EMAIL.finditer(text):
-        name, _, domain = found.group().partition("@")
-        is_password = _LOGIN_BEFORE.search(text[max(0, found.start() - 200) : found.start()])
+    for match in _IPV4.finditer(text):
+        if _is_ipv4(match.group(), text[max(0, match.start() - 24) : match.start()], text[match.end() :][:8]):
+            yield "address", match.group()
+    for match in _IPV6.finditer(text):
+        if _is_ipv6(match.group()):
+            yield "address", match.group()
+    for match in _EMAIL.finditer(text):
+        name, _, domain = match.group().partition("@")
+        is_password = _LOGIN_BEFORE.search(text[max(0, match.start() - 200) : match.start()])
         if domain.lower() not in _PUBLIC_MAIL and name != "git" and not is_password:
-            yield "e-mail", found.group()
-    for found in _HOST.finditer(text):
-        yield "host", found.group()
-    for found in _NAMED_HOST.finditer(text):
-        if found[1].lower() not in _NO_HOSTS and not found[1][0].isdigit():
-            yield "host", found[1]
+            yield "e-mail", match.group()
+    for match in _HOST.finditer(text):
+        yield "host", match.group()
+    for match in _NAMED_HOST.finditer(text):
+        if match[1].lower() not in _NO_HOSTS and not match[1][0].isdigit():
+            yield "host", match[1]
 
 
 def _is_ipv4(candidate: str, before: str, behind: str) -> bool:

@@ -85,7 +85,7 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Pr
         names: names of this machine. Words in our own card templates and common names are not findings.
         owner: owner of the repository, whose name is public anyway.
     """
-    found: list[PrivateText] = []
+    items: list[PrivateText] = []
     for name, path in files.items():
         suffix = path.suffix.lower()
         binary = suffix not in (".parquet", *_TEXT)
@@ -95,16 +95,16 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Pr
             texts = _parquet_texts(name, path)
         else:
             texts = iter([name, path.read_text(encoding="utf-8", errors="replace")])
-        found += (item for text in texts for item in _search(name, text, names, owner, binary=binary))
-    return list(dict.fromkeys(found))
+        items += (item for text in texts for item in _search(name, text, names, owner, binary=binary))
+    return list(dict.fromkeys(items))
 
 
 def require_clean(files: Mapping[str, Path], names: Names, *, owner: str = "") -> None:
     """Raises `DatasetError` with the first files in which `scan` finds something."""
-    if found := scan(files, names, owner=owner):
+    if items := scan(files, names, owner=owner):
         raise DatasetError(
             "Files contain secrets, or names or addresses of a machine or a person.",
-            got=listed([f"{each.file}: {each.kind} {each.text!r}" for each in found]),
+            got=listed([f"{each.file}: {each.kind} {each.text!r}" for each in items]),
             allowed="no token, key, password, folder, user, host, network address or e-mail address in any file",
             hint="edit the file, or create it again with relative paths; then run the same command again",
         )
@@ -125,8 +125,8 @@ def _search(file: str, text: str, names: Names, owner: str, *, binary: bool) -> 
     for part in _TEXT_RUN.findall(text) if binary else [text]:
         for path in _TEXT_PATH.finditer(part):
             yield PrivateText(file, "path", path.group()[:120])
-        for kind, found in (*find_addresses(part), *find_secrets(part)):
-            yield PrivateText(file, kind, found[:120])
+        for kind, match in (*find_addresses(part), *find_secrets(part)):
+            yield PrivateText(file, kind, match[:120])
 
 
 def _telling_names(names: Names, owner: str, shortest: int) -> Iterator[tuple[str, str]]:

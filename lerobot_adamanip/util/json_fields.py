@@ -26,7 +26,7 @@ def parse(content: str | bytes, max_bytes: int = MAX_BYTES) -> Any:
     if len(content) > max_bytes:
         raise ValueError(f"{len(content)} bytes, more than {max_bytes}")
     try:
-        return json.loads(content, object_pairs_hook=_each_once, parse_constant=_refuse_constant)
+        return json.loads(content, object_pairs_hook=_unique_keys, parse_constant=_refuse_constant)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
@@ -37,10 +37,10 @@ def read(path: Path, max_bytes: int = MAX_BYTES) -> Any:
         return parse(file.read(max_bytes + 1), max_bytes)
 
 
-def _check(is_right: Callable[[Any], object], wanted: str) -> Check:
+def _check(is_right: Callable[[Any], object], expected: str) -> Check:
     def check(name: str, value: object) -> Any:
         if not is_right(value):
-            raise _wrong(name, value, wanted)
+            raise _wrong(name, value, expected)
         return value
 
     return check
@@ -145,26 +145,26 @@ def either(*checks: Check) -> Check:
     """Returns a check that accepts the values of any of several."""
 
     def check(name: str, value: object) -> Any:
-        wanted = []
+        expected = []
         for each in checks:
             try:
                 return each(name, value)
             except ValueError as error:
-                wanted.append(str(error).rpartition(", not ")[2])
-        raise _wrong(name, value, " or ".join(wanted))
+                expected.append(str(error).rpartition(", not ")[2])
+        raise _wrong(name, value, " or ".join(expected))
 
     return check
 
 
-def _wrong(name: str, value: object, wanted: str) -> ValueError:
-    return ValueError(f"{name} is {reprlib.repr(value)}, not {wanted}")
+def _wrong(name: str, value: object, expected: str) -> ValueError:
+    return ValueError(f"{name} is {reprlib.repr(value)}, not {expected}")
 
 
-def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    found = dict(pairs)
-    if len(found) < len(pairs):
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    content = dict(pairs)
+    if len(content) < len(pairs):
         raise ValueError("a name occurs twice")
-    return found
+    return content
 
 
 def _refuse_constant(name: str) -> float:

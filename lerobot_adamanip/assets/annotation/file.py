@@ -70,16 +70,16 @@ def read_annotation(path: Path, category: str) -> Annotation:
         return broken(path, what, got, allowed, hint=annotate_hint(path, category))
 
     try:
-        found: Any = read(path)
+        content: Any = read(path)
     except (OSError, ValueError) as error:
         raise wrong("cannot be read.", error, "JSON, as `adamanip annotate` saves it") from error
-    if not isinstance(found, dict) or found.get("format") != FORMAT or found.get("version") != VERSION:
-        raise wrong("not an annotation.", str(found)[:80], f"format {FORMAT!r}, version {VERSION}")
-    if found.get("category") != category:
-        raise wrong("of another category.", found.get("category"), category)
+    if not isinstance(content, dict) or content.get("format") != FORMAT or content.get("version") != VERSION:
+        raise wrong("not an annotation.", str(content)[:80], f"format {FORMAT!r}, version {VERSION}")
+    if content.get("category") != category:
+        raise wrong("of another category.", content.get("category"), category)
     roles = ROLES[require_choice("category", category, ROLES)]
-    joints: Any = found.get("joints")
-    parts: Any = found.get("parts")
+    joints: Any = content.get("joints")
+    parts: Any = content.get("parts")
     missing = [r.name for r in roles.joints if not isinstance(joints, dict) or r.name not in joints]
     missing += [r.name for r in roles.parts if not isinstance(parts, dict) or r.name not in parts]
     if missing:
@@ -89,8 +89,8 @@ def read_annotation(path: Path, category: str) -> Annotation:
             category,
             {r.name: _joint_from_json(joints[r.name]) for r in roles.joints},
             {r.name: _part_from_json(parts[r.name]) for r in roles.parts},
-            _scale(found["scale"]),
-            pose_from_json(found["object_in_urdf"]),
+            _scale(content["scale"]),
+            pose_from_json(content["object_in_urdf"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         got = f"{type(error).__name__}: {error}"

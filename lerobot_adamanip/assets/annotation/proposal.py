@@ -36,41 +36,41 @@ def propose(urdf: Urdf, category: str) -> Annotation:
     """
     roles = ROLES[category]
     by_hand = Annotation(category, {}, {})
-    found = posed(urdf, by_hand)
-    final = _largest(found, roles.final, urdf.leading)
+    at_rest = posed(urdf, by_hand)
+    final = _largest(at_rest, roles.final, urdf.leading)
     others = [joint for joint in urdf.leading if joint is not final]
-    below = [joint for joint in others if joint.kind in _kinds(roles.key) and final.child in _chain(urdf, joint.child)]
-    key = _largest(found, roles.key, below or others)
+    below = [joint for joint in others if joint.kind in _kinds(roles.key) and joint.child in urdf.below(final.child)]
+    key = _largest(at_rest, roles.key, below or others)
     joints = {role.name: default_choice(role, joint) for role, joint in zip(roles.joints, (final, key), strict=True)}
-    scale = _scale(urdf, found, category)
+    scale = _scale(urdf, at_rest, category)
     annotation = Annotation(category, joints, {}, scale)
-    found = posed(urdf, annotation)
-    frame = object_frame(found, annotation)
-    parts = {part.name: propose_part(found, annotation, part, frame) for part in roles.parts}
+    at_rest = posed(urdf, annotation)
+    frame = object_frame(at_rest, annotation)
+    parts = {part.name: propose_part(at_rest, annotation, part, frame) for part in roles.parts}
     return Annotation(category, joints, parts, scale, frame)
 
 
 def propose_part(
-    found: Posed, annotation: Annotation, part: PartRole, frame: Pose, link: str | None = None
+    at_rest: Posed, annotation: Annotation, part: PartRole, frame: Pose, link: str | None = None
 ) -> PartChoice:
     """Returns the grasp of a part from the bounding box of its mesh.
 
     Args:
-        found: the URDF at rest.
+        at_rest: the URDF at rest.
         annotation: its category and joints are used.
         part: part to propose a grasp for.
         frame: (4, 4) object frame in the URDF's root frame [m].
         link: link of the part; None for the child of its last joint.
     """
     roles, joints = ROLES[annotation.category], annotation.joints
-    link = link or part_link(found.urdf, part, joints, roles.final, roles.key)
-    leaders = groups(found.urdf, joints)
-    surfaces = [s for name, leader in leaders.items() if leader == leaders[link] for s in found.visuals[name]]
-    if found.visuals[link] and link != leaders[link]:
-        surfaces = list(found.visuals[link])  # a handle with its own link
+    link = link or part_link(at_rest.urdf, part, joints, roles.final, roles.key)
+    leaders = groups(at_rest.urdf, joints)
+    surfaces = [s for name, leader in leaders.items() if leader == leaders[link] for s in at_rest.visuals[name]]
+    if at_rest.visuals[link] and link != leaders[link]:
+        surfaces = list(at_rest.visuals[link])  # a handle with its own link
     to_object: Array = np.linalg.inv(frame).astype(np.float64)
     boxes = [_box(surface, to_object) for surface in surfaces]
-    at = (to_object @ found.poses[link])[:3, 3]
+    at = (to_object @ at_rest.poses[link])[:3, 3]
     lower, upper = _graspable(boxes, part) if boxes else (at, at)
     rolls = any_roll() if part.round else TWO_FINGERS
     return PartChoice(link, grasp_of_box(lower, upper, part), "object", rolls)
@@ -107,32 +107,24 @@ def _kinds(role: JointRole) -> tuple[str, ...]:
     return ("revolute", "continuous") if role.kind == "revolute" else (role.kind,)
 
 
-def _largest(found: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> UrdfJoint:
+def _largest(at_rest: Posed, role: JointRole, joints: Sequence[UrdfJoint]) -> UrdfJoint:
     """Returns the joint of the role's type that moves the largest links; prefers joints with limits."""
     fitting = [joint for joint in joints if joint.kind in _kinds(role)]
     if not fitting:
         got = [f"{joint.name} ({joint.kind})" for joint in joints] or "none"
-        raise broken(found.urdf.path, f"no joint can be the {role.name}.", got, role.kind, hint="another category")
+        raise broken(at_rest.urdf.path, f"no joint can be the {role.name}.", got, role.kind, hint="another category")
 
     def moves(joint: UrdfJoint) -> float:
-        moved = [name for name in found.urdf.links if joint.child in _chain(found.urdf, name)]
-        points = [surface.vertices for name in moved for surface in found.visuals[name]]
+        links = at_rest.urdf.below(joint.child)
+        points = [surface.vertices for name in links for surface in at_rest.visuals[name]]
         return float(np.linalg.norm(np.ptp(np.concatenate(points), axis=0))) if points else 0.0
 
     return max(fitting, key=moves)
 
 
-def _chain(urdf: Urdf, link: str) -> list[str]:
-    """Returns the link and all its ancestors."""
-    chain = [link]
-    while (above := urdf.joint_above(chain[-1])) is not None:
-        chain.append(above.parent)
-    return chain
-
-
-def _scale(urdf: Urdf, found: Posed, category: str) -> float:
+def _scale(urdf: Urdf, at_rest: Posed, category: str) -> float:
     """Returns 1 for URDFs in metres; scales PartNet-Mobility's normalised objects to the category's typical size."""
     if not (urdf.path.parent / "semantics.txt").is_file() and not (urdf.path.parent / "meta.json").is_file():
         return 1.0
-    lower, upper = found.bounds()
+    lower, upper = at_rest.bounds()
     return round(ROLES[category].typical_size / float(np.max(upper - lower)), 4)
