@@ -25,8 +25,9 @@ def step_in_mid_episode() -> Way:
         while goal.phase in (Phase.APPROACH, Phase.GRASP):
             env.step(goal.action())
             goal = expert.send(env.feedback)
+        action = goal.action()
         with traced() as way:
-            _, _, terminated, truncated, _ = env.step(goal.action())
+            _, _, terminated, truncated, _ = env.step(action)
         assert not terminated
         assert not truncated
         return way

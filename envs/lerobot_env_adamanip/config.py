@@ -26,7 +26,7 @@ from lerobot_adamanip.contract.schema import (
     STATE_DIM,
 )
 from lerobot_adamanip.contract.seeds import category_offset
-from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_env_adamanip.sim.render_device import observes_images
 
@@ -90,10 +90,6 @@ class AdaManipEnvConfig(EnvConfig):
     logged_seeds: tuple[int, int] | None = None
     # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # The former name of --env.poses; setting it raises an error with the new name.
-    pose_preset: str | None = None
-    # The former name of --env.mechanism_rules; setting it raises an error with the new name.
-    mechanism_preset: str | None = None
     # Set by itself: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
     # Set by itself: their names in datasets.
@@ -106,9 +102,6 @@ class AdaManipEnvConfig(EnvConfig):
             AdaManipError: a value is invalid. Raised here, before a training's first evaluation.
         """
         with shown_by_parsers():
-            refuse_former_name("pose_preset", self.pose_preset)
-            if self.mechanism_preset != self.mechanism_rules:  # stored by trainings of version 0.2
-                refuse_former_name("mechanism_preset", self.mechanism_preset)
             if self.max_parallel_tasks != 1:
                 what, hint = "Parallel tasks would mix the histories of one policy object.", "--eval.batch_size=4"
                 raise ConfigurationError(
@@ -175,8 +168,8 @@ class AdaManipEnvConfig(EnvConfig):
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
-        require_fitting_policy(self, [each.category for each in options.values()])
-        return {name: {0: make_vector_env(each, n_envs, use_async_envs)} for name, each in options.items()}
+        require_fitting_policy(self, [one.category for one in options.values()])
+        return {name: {0: make_vector_env(one, n_envs, use_async_envs)} for name, one in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:
         """Returns name -> options of each vector environment."""

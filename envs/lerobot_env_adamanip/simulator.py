@@ -12,7 +12,7 @@ import gymnasium as gym
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_env_adamanip.cloud_source import resolve_cloud_source
+from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
@@ -45,10 +45,10 @@ def placement_check(poses: str = "randomized") -> PlacementCheck:
         SimulatorError: the simulator is not installed.
     """
     require_simulator()
-    from lerobot_env_adamanip.sim import reachability
+    from lerobot_env_adamanip.sim import placement
     from lerobot_env_adamanip.sim.tasks import TASKS
 
-    return lambda obj: reachability.placement_check(TASKS[obj.category].definition, poses)(obj)
+    return lambda obj: placement.placement_check(TASKS[obj.category].definition, poses)(obj)
 
 
 def sensors_name(options: EnvironmentOptions) -> str:

@@ -87,46 +87,11 @@ class SyncSimulators(gym.vector.SyncVectorEnv):
         return super().reset(seed=seed, options=_new_rollout(options))
 
 
-class _Processes(gym.vector.AsyncVectorEnv):
-    """Processes of `AsyncSimulators`: Gymnasium's, but they can be ended in any state."""
-
-    def __init__(self) -> None:
-        self.parent_pipes, self.processes = [], []
-
-    def start(self, makers: Sequence[Make]) -> None:
-        """Starts the processes, as copies of `start_server`'s."""
-        with _server_in_use():
-            super().__init__(makers, context="forkserver", autoreset_mode=AUTORESET)
-
-    def stop(self, *, at_once: bool) -> None:
-        """Ends the processes, whatever state they are in. With ``at_once`` they are killed."""
-        for pipe in () if at_once else self.parent_pipes:
-            with contextlib.suppress(OSError, AttributeError):  # its process has ended
-                pipe.send(("close", None))
-        deadline = time.monotonic() + CLOSE_TIMEOUT_S
-        self.processes = [process for process in self.processes if process.pid is not None]
-        for process in self.processes:
-            if not at_once:
-                process.join(max(0.0, deadline - time.monotonic()))
-            if process.is_alive():
-                process.kill()
-        self._state = AsyncState.DEFAULT  # otherwise Gymnasium waits for pending results
-        self.close(terminate=True)
-
-    def endings(self) -> list[str]:
-        """Returns how processes have ended that should run."""
-        deadline = time.monotonic() + 1.0  # a pipe closes a moment before its process can be reaped
-        while all(process.exitcode is None for process in self.processes) and time.monotonic() < deadline:
-            time.sleep(0.01)
-        codes = [(number, process.exitcode) for number, process in enumerate(self.processes)]
-        return [f"environment {number}: {_ending(code)}" for number, code in codes if code is not None]
-
-
-class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
-    """Runs one process per environment, started at first use and ended by `close`; can be used again afterwards.
+class AsyncSimulators(gym.vector.AsyncVectorEnv):
+    """Gymnasium's processes, started at first use and ended by `close` in any state; can be used again afterwards.
 
     A suite therefore runs the processes of one category at a time. If a process dies, hangs or raises an error, all are
-    ended.
+    ended. LeRobot's lazy environments neither limit the time of an answer nor can they be closed after a death.
 
     Args:
         makers: one function per environment, picklable by cloudpickle.
@@ -134,8 +99,8 @@ class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
 
     def __init__(self, makers: Sequence[Make]) -> None:
         start_server()  # while the caller loads a policy
-        self._makers = list(makers)
-        self._processes: _Processes | None = None
+        self._makers, self._state = list(makers), AsyncState.DEFAULT
+        self.parent_pipes, self.processes = [], []
         first = self._makers[0]()  # does not start the simulator
         self.num_envs, self.render_mode = len(self._makers), first.render_mode
         self.metadata = {**first.metadata, "autoreset_mode": AUTORESET}
@@ -148,56 +113,67 @@ class AsyncSimulators(gym.vector.VectorEnv[Any, Any, Any]):
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         """Resets like `gymnasium.vector.VectorEnv.reset`; raises `SimulatorError` if a process dies or hangs."""
-        with self._running() as processes:
-            processes.reset_async(seed=seed, options=_new_rollout(options))
-            return processes.reset_wait(timeout=WORKER_TIMEOUT_S)
+        with self._running():
+            self.reset_async(seed=seed, options=_new_rollout(options))
+            return self.reset_wait(timeout=WORKER_TIMEOUT_S)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Steps like `gymnasium.vector.VectorEnv.step`; raises `SimulatorError` if a process dies or hangs."""
-        with self._running() as processes:
-            processes.step_async(actions)
-            return processes.step_wait(timeout=WORKER_TIMEOUT_S)
+        with self._running():
+            self.step_async(actions)
+            return self.step_wait(timeout=WORKER_TIMEOUT_S)
 
     def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
         """Calls a method, or reads an attribute, of each environment; raises `SimulatorError` like `step`."""
-        with self._running() as processes:
-            processes.call_async(name, *args, **kwargs)
-            return processes.call_wait(timeout=WORKER_TIMEOUT_S)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Reads an attribute of each environment."""
-        return self.call(name)
+        with self._running():
+            self.call_async(name, *args, **kwargs)
+            return self.call_wait(timeout=WORKER_TIMEOUT_S)
 
     def set_attr(self, name: str, values: Any) -> None:
         """Sets an attribute of each environment, from a list or tuple with one value each, or from one value."""
-        with self._running() as processes:
-            processes.set_attr(name, values)
-
-    def render(self) -> tuple[Any, ...]:
-        """Returns each environment's image (H, W, 3)."""
-        return self.call("render")
+        with self._running():
+            super().set_attr(name, values)
 
     def close(self, **kwargs: Any) -> None:
         """Ends the processes within `CLOSE_TIMEOUT_S`, also after an error; the next call starts new ones."""
         self._stop(at_once=False)
 
     def _stop(self, *, at_once: bool) -> None:
-        processes, self._processes = self._processes, None
-        if processes is not None:
-            processes.stop(at_once=at_once)
+        """Ends the processes, whatever state they are in. With ``at_once`` they are killed."""
+        for pipe in () if at_once else self.parent_pipes:
+            with contextlib.suppress(OSError, AttributeError):  # its process has ended
+                pipe.send(("close", None))
+        deadline = time.monotonic() + CLOSE_TIMEOUT_S
+        self.processes = [process for process in self.processes if process.pid is not None]
+        for process in self.processes:
+            if not at_once:
+                process.join(max(0.0, deadline - time.monotonic()))
+            if process.is_alive():
+                process.kill()
+        self._state = AsyncState.DEFAULT  # otherwise Gymnasium waits for pending results
+        self.close_extras(terminate=True)
+        self.parent_pipes, self.processes = [], []
+
+    def _endings(self) -> list[str]:
+        """Returns how processes have ended that should run."""
+        deadline = time.monotonic() + 1.0  # a pipe closes a moment before its process can be reaped
+        while all(process.exitcode is None for process in self.processes) and time.monotonic() < deadline:
+            time.sleep(0.01)
+        codes = [(number, process.exitcode) for number, process in enumerate(self.processes)]
+        return [f"environment {number}: {_ending(code)}" for number, code in codes if code is not None]
 
     @contextlib.contextmanager
-    def _running(self) -> Iterator[_Processes]:
-        """Yields the running processes; after any error there are none, and a `SimulatorError` names a dead process."""
+    def _running(self) -> Iterator[None]:
+        """Starts the processes if there are none; after any error there are none, and the error names a dead one."""
         try:
-            if self._processes is None:
-                self._processes = _Processes()  # first, so that `_stop` ends the processes if one does not start
-                self._processes.start(self._makers)
-            yield self._processes
+            if not self.processes:
+                with _server_in_use():
+                    super().__init__(self._makers, context="forkserver", autoreset_mode=AUTORESET)
+            yield
         except (EOFError, ConnectionError) as error:
             # Collecting frames that hold a half-sent message crashes Python 3.12.1.
             traceback.clear_frames(error.__traceback__)
-            endings = "; ".join([] if self._processes is None else self._processes.endings())
+            endings = "; ".join(self._endings())
             self._stop(at_once=True)
             raise SimulatorError(
                 "A simulator's process has ended.",

@@ -86,24 +86,6 @@ def test_every_option_of_an_environment_can_be_typed() -> None:
     assert {elsewhere.get(item.name, item.name) for item in dataclasses.fields(EnvironmentOptions)} <= names
 
 
-@pytest.mark.parametrize(("former", "name"), [("pose_preset", "poses"), ("mechanism_preset", "mechanism_rules")])
-def test_a_former_name_is_one_clear_error(former: str, name: str) -> None:
-    said = rf"(?s){former} is called {name} now.*--env.{name}="
-    with pytest.raises(draccus.utils.DecodingError, match=said):  # LeRobot prints it, and no traceback
-        parsed(f"--env.{former}=default")
-    with pytest.raises(AdaManipError, match=said):
-        AdaManipSafeEnvConfig(**{former: "hard"})
-    with pytest.raises(ConfigurationError, match=said):
-        KeyframeEnv("safe", **{former: "hard"})
-
-
-@pytest.mark.parametrize(
-    "given", [{}, {"pose_preset": None}, {"mechanism_preset": None}, {"mechanism_preset": "paper"}]
-)
-def test_a_config_written_before_loads_unless_it_means_something_else(given: dict[str, Any]) -> None:
-    assert AdaManipSafeEnvConfig(**given).options.poses == "randomized"
-
-
 def test_parallel_tasks_are_refused_because_they_share_a_policy() -> None:
     with pytest.raises(AdaManipError, match=r"(?s)Parallel tasks.*got: .*max_parallel_tasks=2.*try:"):
         make_env_config("adamanip", max_parallel_tasks=2)

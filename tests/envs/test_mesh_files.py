@@ -13,7 +13,7 @@ import trimesh
 
 from lerobot_adamanip.objects.base import Material
 from lerobot_adamanip.objects.geometry.shapes import chamfered_box
-from lerobot_env_adamanip.sim import mesh_files
+from lerobot_env_adamanip.sim import articulation as mesh_files
 
 SHAPE = chamfered_box((0, 0, 0), (0.1, 0.2, 0.3), 0.01, Material((0.5, 0.5, 0.5)))
 

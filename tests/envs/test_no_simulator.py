@@ -11,7 +11,8 @@ from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 said = []
 env = KeyframeEnv("safe", num_points=64, image_size=64)
-for start in (lambda: env.reset(seed=0), lambda: env.reset(seed=0), lambda: __import__("lerobot_env_adamanip.tasks")):
+tasks = "lerobot_env_adamanip.sim.tasks"
+for start in (lambda: env.reset(seed=0), lambda: env.reset(seed=0), lambda: __import__(tasks)):
     try:
         start()
     except SimulatorError as error:

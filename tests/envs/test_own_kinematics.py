@@ -11,7 +11,6 @@ import pytest
 
 pytestmark = pytest.mark.sim
 
-ENTRIES = ("lerobot_env_adamanip.fork_server_preload", "lerobot_env_adamanip.tasks")
 OWN = "sapien.pysapien_pinocchio"
 TOLD = "import sys, logging; logging.basicConfig(); "
 MODULE = "from sapien.wrapper.pinocchio_model import PinocchioModel; print(PinocchioModel.__module__)"
@@ -34,7 +33,10 @@ def told(code: str, environment: dict[str, str]) -> subprocess.CompletedProcess[
 
 @pytest.mark.parametrize(
     "name",
-    ["lerobot_env_adamanip.fork_server_preload", pytest.param("lerobot_env_adamanip.tasks", marks=pytest.mark.nightly)],
+    [
+        "lerobot_env_adamanip.fork_server_preload",
+        pytest.param("lerobot_env_adamanip.sim.tasks", marks=pytest.mark.nightly),
+    ],
 )
 def test_sapien_keeps_its_own(installed: dict[str, str], name: str) -> None:
     done = told(f"import {name}; {MODULE}; import pinocchio; print(pinocchio.IS_OTHER)", installed)

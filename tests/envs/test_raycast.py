@@ -12,10 +12,9 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.objects import Material, Shape
-from lerobot_env_adamanip import cloud_source
-from lerobot_env_adamanip.cloud_source import resolve_cloud_source
-from lerobot_env_adamanip.sim import raycast
+from lerobot_env_adamanip.sim import raycast, render_device
 from lerobot_env_adamanip.sim.raycast import LinkMesh, PinholeCamera, RayScene, link_mesh
+from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 from lerobot_env_adamanip.sim.triangles import box_triangles, shape_triangles
 
 SIZE = 48
@@ -126,8 +125,8 @@ def test_without_embreex_clouds_are_rendered_and_one_line_says_so(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     assert resolve_cloud_source("raycast") == "raycast"
-    monkeypatch.setattr(cloud_source.importlib.util, "find_spec", lambda name: None)
-    cloud_source._tell_once.cache_clear()
+    monkeypatch.setattr(render_device.importlib.util, "find_spec", lambda name: None)
+    render_device._warn_once.cache_clear()
     assert [resolve_cloud_source("raycast") for _ in range(3)] == ["render"] * 3
     assert [record.message for record in caplog.records if "embreex" in record.message] == [caplog.messages[0]]
 

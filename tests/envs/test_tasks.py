@@ -53,7 +53,7 @@ def test_a_lock_never_opens_by_force(env: Any, seed: int) -> None:
     for pose in pulls:
         felt = env.execute(Goal(pose, 0.0, Phase.TRY).action())
         assert np.isfinite(felt.tcp_in_base).all()
-        assert np.isfinite(env.effort).all()
+        assert np.isfinite(env.driver.effort).all()
         assert abs(np.degrees(env.simulation.joint_positions()["door"])) < 1.0
     assert not env.evaluate()["success"][0]
 
@@ -118,7 +118,7 @@ def test_maniskills_state_is_the_arm_alone() -> None:
             assert observation.shape == (1, 18)  # positions and velocities of seven joints and two fingers
             seen.append(observation.clone())
         assert torch.equal(*seen)
-        arm = made.unwrapped.arm_state()
+        arm = made.unwrapped.simulation.arm_state()
         np.testing.assert_allclose(seen[1][0, :7].numpy(), arm.qpos, atol=1e-6)
     finally:
         made.close()

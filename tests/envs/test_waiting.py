@@ -104,8 +104,7 @@ def kill(envs: AsyncSimulators) -> None:
 def test_a_process_killed_between_calls_is_one_error_and_none_is_left(processes: AsyncSimulators, use: Any) -> None:
     processes.reset(seed=0)
     kill(processes)
-    assert processes._processes is not None
-    left = processes._processes.processes
+    left = list(processes.processes)
     with pytest.raises(SimulatorError, match=r"(?s)process has ended.*environment 1: killed by SIGKILL.*batch_size"):
         use(processes)
     assert not any(process.is_alive() for process in left)
@@ -126,8 +125,7 @@ def test_closing_ends_whatever_state_the_processes_are_in(
     processes: AsyncSimulators, number: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     processes.reset(seed=0)
-    assert processes._processes is not None
-    left = processes._processes.processes
+    left = list(processes.processes)
     os.kill(left[0].pid, number)
     began = time.monotonic()
     processes.close()
@@ -150,7 +148,7 @@ def test_an_error_of_an_environment_is_raised_and_leaves_no_process(processes: A
     processes.reset(seed=0)
     with pytest.raises(AttributeError):
         processes.call("no_such_method")
-    assert processes._processes is None
+    assert processes.processes == []
     assert processes.reset(seed=0)[0].tolist() == [[0.0], [0.0]]
 
 

@@ -17,7 +17,7 @@ from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.cameras import Cameras, Pair
-from lerobot_env_adamanip.sim.twin.backend import TICK, SapienBackend
+from lerobot_env_adamanip.sim.twin import TICK, SapienBackend
 from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions, frame_capacity
 
 pytestmark = pytest.mark.sim

@@ -62,7 +62,8 @@ class ArmDriver:
 
     Attributes:
         feedback: feedback of the latest key frame.
-        effort: external joint torque (7,) [N m] at its end.
+        effort: external joint torque (7,) [N m] at its end, from the drives' springs; exact at rest, as gravity is
+            balanced. It omits their damping, which reacts to the arm's own inertia and would look like contact.
         goal: its commanded tool pose (4, 4), after clipping, and gripper opening.
         stalled: whether the tool of a stream presses against an obstacle in front of the target.
         unreachable: whether the arm of a stream cannot move any closer to the target.
@@ -113,7 +114,7 @@ class ArmDriver:
         self._ticks = self._strained = 0
         if self._leans:
             yield from self._relax()
-        finger_goal = _finger_goal(gripper)
+        finger_goal = FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
         gripper_moves = abs(finger_goal - self._finger_target) > 5e-3
         self._finger_target = finger_goal
         outcome = yield from self._follow(goal)
@@ -125,7 +126,7 @@ class ArmDriver:
         self._leans = outcome is Outcome.STALLED and bool(np.abs(state.qvel).max() < LEANING_SPEED)
         if outcome is not Outcome.REACHED and not self._leans:
             yield from self._relax()
-        self._measure_effort()
+        self.effort = self._stiffness * (self._target - self._simulation.arm_state().qpos)
         self.feedback = replace(self.measured(outcome), is_clipped=self._is_clipped)
 
     def _checked(self, action: NDArray[np.float32]) -> tuple[Array, float]:
@@ -146,9 +147,12 @@ class ArmDriver:
         limits, start = self._limits, self._kinematics.tcp_in_base(self._target)
         distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
         angle = angle_between(start[:3, :3], goal[:3, :3])
+        # A quintic over a distance d in a time T has its peaks at 15/8 d/T and 10/sqrt(3) d/T^2.
         seconds = max(
-            _quintic_seconds(distance, limits.linear_speed, limits.linear_acceleration),
-            _quintic_seconds(angle, limits.angular_speed, limits.angular_acceleration),
+            1.875 * distance / limits.linear_speed,
+            1.875 * angle / limits.angular_speed,
+            np.sqrt(10 / np.sqrt(3) * distance / limits.linear_acceleration),
+            np.sqrt(10 / np.sqrt(3) * angle / limits.angular_acceleration),
         )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
         times = [k / ticks for k in range(1, ticks + 1)]
@@ -237,13 +241,6 @@ class ArmDriver:
         self._simulation.tick(target, velocity, self._finger)
         self._ticks += 1
 
-    def _measure_effort(self) -> None:
-        """Measures the external joint torque from the drives' springs; exact at rest, as gravity is balanced.
-
-        It omits the drives' damping, which reacts to the arm's own inertia and would look like contact.
-        """
-        self.effort = self._stiffness * (self._target - self._simulation.arm_state().qpos)
-
     # Streams --------------------------------------------------------------------------------------------------------
 
     def follow_target(self, action: NDArray[np.float32]) -> None:
@@ -257,7 +254,7 @@ class ArmDriver:
             if self._leans:  # a stalled key frame ends under strain
                 self._target, self._leans = self._simulation.arm_state().qpos.copy(), False
             self._strained = 0
-        self._finger_target = _finger_goal(gripper)
+        self._finger_target = FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
         self._stream = self.goal = (goal, gripper)
         self._holding = False
 
@@ -275,7 +272,7 @@ class ArmDriver:
             waypoint, velocity = before, np.zeros(6)
         self._velocity = velocity
         self.stalled = self._advance(self._posture(waypoint, before) if velocity.any() else self._target)
-        self._measure_effort()
+        self.effort = self._stiffness * (self._target - self._simulation.arm_state().qpos)
         self.feedback = self.measured()
 
     def end_stream(self) -> None:
@@ -335,15 +332,6 @@ class ArmDriver:
         if not follows:
             self._velocity = np.zeros(6)
         return solution.qpos if follows else self._target
-
-
-def _finger_goal(gripper: float) -> float:
-    return FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
-
-
-def _quintic_seconds(distance: float, speed: float, acceleration: float) -> float:
-    """Returns the duration of a quintic over ``distance`` within both peaks: 15/8 d/T and 10/sqrt(3) d/T^2."""
-    return float(max(1.875 * distance / speed, np.sqrt(10 / np.sqrt(3) * distance / acceleration)))
 
 
 def _braking_speed(distance: float, deceleration: float) -> float:

@@ -2,6 +2,12 @@
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import os
+import stat
+import tempfile
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +17,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_with_x_along
 from lerobot_adamanip.objects import ArticulatedObject, Joint, Shape
-from lerobot_env_adamanip.sim.mesh_files import mesh_file
+from lerobot_adamanip.util.files import write_atomically
 from lerobot_env_adamanip.sim.simulation import named_joints
 
 FRICTION = 1.2
@@ -113,3 +119,39 @@ def _add(link: Any, what: str, of_mesh: str, shape: Shape, material: Any) -> Non
     else:  # half extents of a box; radius and half length of a cylinder or capsule
         size = (list(shape.size),) if shape.kind == "box" else shape.size
         getattr(link, f"add_{shape.kind}_{what}")(pose, *size, material)
+
+
+# Mesh files for SAPIEN, named by a content hash, in the system's temporary folder -----------------------------------
+
+
+def mesh_file(shape: Shape) -> Path:
+    """Returns a file with a mesh shape's triangles, flat shaded: each face has its own vertices and normals."""
+    assert shape.vertices is not None
+    assert shape.faces is not None
+    digest = hashlib.sha256(shape.vertices.tobytes() + shape.faces.tobytes()).hexdigest()[:24]
+    path = cache_folder() / f"{digest}.obj"
+    if not path.is_file():
+        import trimesh
+
+        corners = shape.vertices[shape.faces].reshape(-1, 3)
+        flat = trimesh.Trimesh(corners, np.arange(shape.faces.size).reshape(-1, 3), process=False)
+        content = str(flat.export(file_type="obj", include_normals=True)).rstrip().encode() + b"\n"
+        write_atomically(path, content)
+    return path
+
+
+@functools.cache
+def cache_folder() -> Path:
+    """Returns this user's mesh folder in the system's temporary folder; creates a new one if others can write to it."""
+    folder = Path(tempfile.gettempdir()) / f"adamanip_meshes_{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    if not is_private(folder):
+        return Path(tempfile.mkdtemp(prefix="adamanip_meshes_"))
+    return folder
+
+
+def is_private(folder: Path) -> bool:
+    """Returns whether a folder is not a link, belongs to this user, and is not writable for others."""
+    status = folder.lstat()
+    is_writable = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not is_writable

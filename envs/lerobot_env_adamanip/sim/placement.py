@@ -6,8 +6,10 @@ lever one metre up, the floor is below the base.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+import functools
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,9 @@ from lerobot_adamanip.objects import ArticulatedObject, PartAnnotation
 from lerobot_adamanip.util.errors import UnreachableError, require_choice
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics, Pull
 
+if TYPE_CHECKING:
+    from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
+
 Array = NDArray[np.float64]
 
 LEAST_PLINTH, HIGHEST_PLINTH = 0.04, 0.7
@@ -27,6 +32,8 @@ PATH_STEPS = 6
 APPROACH_STEPS, APPROACHING = 8, Pull(steps=5)
 """Number of poses checked on each leg of the way to a part. A motion pulls the elbow to rest at each control tick,
 several times per checked pose."""
+CHECK_SEED = 0
+"""Seed of the poses at which external assets are checked."""
 
 
 @dataclass(frozen=True)
@@ -270,3 +277,39 @@ def _along(path: Path) -> Iterator[dict[str, float]]:
             start = {name: here.get(name, 0.0) for name in leg}
             yield {name: start[name] + float(fraction) * (goal - start[name]) for name, goal in leg.items()}
         here = dict(leg)
+
+
+@functools.cache
+def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObject], str]:
+    """Returns a function that returns why an object cannot be placed, or an empty text, from kinematics alone.
+
+    It samples one episode; an object that can be placed there can be placed in almost every episode.
+    """
+    spread = randomization(poses)
+
+    def placement_problem(obj: ArticulatedObject) -> str:
+        stand = task.stand(obj)
+        try:
+            stand.draw(np.random.default_rng(CHECK_SEED), obj, _arm(task), spread)
+        except UnreachableError:
+            names = " or ".join(reach.part for reach in stand.reaches)
+            return f"the arm does not reach its {names} on the way to it, held and turned, wherever it stands ({poses})"
+        return ""
+
+    return placement_problem
+
+
+@functools.cache
+def _arm(task: CategoryTask) -> ArmKinematics:
+    """Returns the kinematics of an arm without shapes, which needs no renderer."""
+    import sapien
+
+    from lerobot_env_adamanip.sim.robot import AdaManipPanda
+
+    scene = sapien.Scene([sapien.physx.PhysxCpuSystem()])
+    loader = scene.create_urdf_loader()
+    loader.fix_root_link = True
+    builder = loader.parse(AdaManipPanda.urdf_path)[0][0]
+    for link in builder.link_builders:
+        link.visual_records, link.collision_records = [], []
+    return ArmKinematics(builder.build(), task.rest)

@@ -346,26 +346,22 @@ class RaycastSensor:
 
     def pixels(self) -> tuple[Slots, Cloud]:
         """Returns pixels (M,), as indices in scan order, and their points (M, 3), camera frame, in whole mm."""
-        self._update_resting()
-        depth = self._behind.copy()
-        self._scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
-        met = self._scene.met(depth)
-        # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
-        points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
-        return self._scene.pixels[met], np.trunc(points, out=points)
-
-    def _update_resting(self) -> None:
-        """Recasts the rays at resting bodies that have moved."""
         changed = False
         for index, body in enumerate(self._resting):
             pose, known = body.pose(), self._hits[index]
             if known is None or not np.array_equal(pose, known[0]):
                 self._hits[index] = pose, self._scene.hits(body.mesh, pose)
                 changed = True
-        if changed:
+        if changed:  # a resting body has moved
             self._behind = self._scene.empty()
             for _, (slots, depths) in filter(None, self._hits):
                 self._behind[slots] = np.minimum(self._behind[slots], depths)
+        depth = self._behind.copy()
+        self._scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
+        met = self._scene.met(depth)
+        # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
+        points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
+        return self._scene.pixels[met], np.trunc(points, out=points)
 
 
 def shaded_picture(config: CameraConfig, bodies: Sequence[Body]) -> NDArray[np.uint8]:

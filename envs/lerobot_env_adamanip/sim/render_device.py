@@ -1,4 +1,4 @@
-"""Rendering device of this machine: tested once with an image, then read from the user's cache.
+"""What this machine renders with: its device, tested once and then read from the user's cache, or ray casting.
 
 A GPU in PyTorch does not imply one in Vulkan, and a broken driver may crash or hang. The test therefore runs in its own
 process (`render_probe`). Importing this module does not import the simulator.
@@ -7,8 +7,10 @@ process (`render_probe`). Importing this module does not import the simulator.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import importlib.metadata
+import importlib.util
 import json
 import logging
 import os
@@ -18,7 +20,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from lerobot_adamanip.episode.options import RENDER_BACKENDS
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, RENDER_BACKENDS
 from lerobot_adamanip.util.errors import GET_PICTURES, no_vulkan_device, require_choice
 from lerobot_adamanip.util.files import write_atomically
 
@@ -43,6 +45,18 @@ def resolve_render_backend(wanted: str = "auto") -> str:
     if require_choice("render backend", wanted, RENDER_BACKENDS) != "auto":
         return wanted
     return "cuda" if _has_gpu() and rendering_device() == "cuda" else "cpu"
+
+
+def resolve_cloud_source(wanted: str) -> str:
+    """Returns ``raycast`` or ``render``; falls back to ``render`` if embreex is not installed."""
+    require_choice("source of clouds", wanted, CLOUD_SOURCES)
+    if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
+        _warn_once("embreex is not installed, so clouds are rendered, some ten times slower: pip install embreex")
+        return "render"
+    return wanted
+
+
+_warn_once = functools.cache(_log.warning)
 
 
 def can_render() -> bool:
@@ -116,7 +130,7 @@ def vulkan_drivers() -> tuple[str, ...]:
 
 
 def _paths(variable: str, default: str = "") -> list[Path]:
-    return [Path(each) for each in (os.environ.get(variable) or default).split(os.pathsep) if each]
+    return [Path(path) for path in (os.environ.get(variable) or default).split(os.pathsep) if path]
 
 
 def cache_file() -> Path:

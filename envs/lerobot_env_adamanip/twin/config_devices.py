@@ -10,7 +10,7 @@ from lerobot.robots.config import RobotConfig
 from lerobot.teleoperators.config import TeleoperatorConfig
 
 from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
-from lerobot_adamanip.episode.options import EnvironmentOptions, refuse_former_name
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConfig
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
@@ -87,9 +87,6 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     mechanism_rules: str = "paper"
     """Rules of mechanisms: paper, upstream or hard."""
 
-    mechanism_preset: str | None = None
-    """Former name of mechanism_rules. Setting it raises an error."""
-
     hidden: dict[str, Any] = field(default_factory=dict)
     """Fixed hidden values, e.g. '{locked: true}'. The others are drawn with the seed."""
 
@@ -154,7 +151,6 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
                 camera.fps = camera.fps or self.camera_hz
         super().__post_init__()
         with shown_by_parsers():
-            refuse_former_name("mechanism_preset", self.mechanism_preset)
             require_choice("clock", self.clock, CLOCKS, hint="--robot.clock=lockstep")
             require_choice("source of depth", self.depth_source, DEPTH_SOURCES, hint="--robot.depth_source=raycast")
             if not 0 <= self.seed < 2**31 or not 1 <= self.fps <= 1000:

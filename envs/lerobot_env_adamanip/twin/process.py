@@ -9,13 +9,13 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.arm_process.encoding import message
 from lerobot_adamanip.objects.base import Motion, PartAnnotation
 
-TWIN = "lerobot_env_adamanip.sim.twin.backend:serve_twin"
+TWIN = "lerobot_env_adamanip.sim.twin:serve_twin"
 FRONT_FRAMES = "front"
 """Mailbox of the front camera's `Frame`s."""
 SUCCESS_BOX = "success"
 """Mailbox of a boolean: whether the task is done."""
-for each in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
-    message(each)
+for kind in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
+    message(kind)
 
 
 @message

@@ -21,13 +21,12 @@ from lerobot_adamanip.contract.seeds import BalancedDraws, Stream, episode_gener
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.cloud_source import resolve_cloud_source
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.arm_driver import ArmDriver
 from lerobot_env_adamanip.sim.cameras import Cameras
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
-from lerobot_env_adamanip.sim.placement import Placement, randomization
-from lerobot_env_adamanip.sim.reachability import placement_check
+from lerobot_env_adamanip.sim.placement import Placement, placement_check, randomization
+from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 from lerobot_env_adamanip.sim.renderer import device_for, keep_shaders, translate_renderer_errors, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
 from lerobot_env_adamanip.sim.simulation import CONTACT_OFFSET, Simulation

@@ -1,1 +1,0 @@
-"""Simulated twin of the arm: this project's scenes as a backend of the arm process."""
