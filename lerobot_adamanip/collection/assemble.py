@@ -13,7 +13,7 @@ from typing import Any
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
-from lerobot_adamanip.datasets.cards.collected import dataset_card
+from lerobot_adamanip.datasets.cards import dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.dataset import read_back
 from lerobot_adamanip.datasets.encoding import EpisodeFile, PreparedEpisode, preparing_session

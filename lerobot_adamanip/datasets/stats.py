@@ -30,7 +30,6 @@ RECORDED = Group("source", "recorded on a robot")
 """Group of a robot's episodes in a mixed dataset."""
 KINDS = ("all", "category", "objects", "category and objects", "hidden", RECORDED.by)
 """Kinds of groups, in their order."""
-_COUNTS = {"tries": int, "failed_tries": int, "success": bool}
 
 
 @dataclass(frozen=True)
@@ -38,12 +37,9 @@ class GroupStats:
     """Counts of a group of episodes.
 
     Attributes:
-        episodes: number of episodes.
         labelled: number of episodes with labels of tries; a robot's have none.
         key_frames: number of key frames, without the final observations.
-        tries, failed_tries: number of tries, and of the failed ones.
         recovered: success rate of the episodes with a failed try.
-        success: success rate.
     """
 
     episodes: int
@@ -75,10 +71,7 @@ class DatasetStats:
     """Counts of a dataset.
 
     Attributes:
-        root: its folder.
-        objects: number of objects.
         rows: number of rows, including final observations.
-        bytes: size of its files.
         late: number of episodes that start from mid-task states.
         lengths: key frames of an episode -> number of episodes.
         failures: failed tries of an episode -> number of labelled episodes.
@@ -106,12 +99,8 @@ class DatasetStats:
     def length_summary(self) -> dict[str, float]:
         """Returns smallest, median, mean and largest number of key frames of an episode."""
         lengths = sorted(Counter(dict(self.lengths)).elements())
-        return {
-            "min": lengths[0],
-            "median": statistics.median(lengths),
-            "mean": statistics.mean(lengths),
-            "max": lengths[-1],
-        }
+        middle = {"median": statistics.median(lengths), "mean": statistics.mean(lengths)}
+        return {"min": lengths[0], **middle, "max": lengths[-1]}
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary; groups are a list of ``by``, ``name`` and their numbers."""
@@ -131,21 +120,18 @@ def read_stats(root: str | Path) -> DatasetStats:
     """
     dataset = Dataset(root)
     try:
-        table = _table(dataset)
-        sequences = _records(dataset)
-        attempts = _attempts(dataset.root)
-        lengths = Counter((table["length"] - 1).tolist())
+        table, records = _table(dataset), _records(dataset)
         return DatasetStats(
             root=str(dataset.root),
             objects=int(table["object_id"].nunique()),
             rows=int(table["length"].sum()),
             bytes=files.tree_bytes(dataset.root),
-            late=int(table["late"].sum()),
-            lengths=dict(sorted(lengths.items())),
+            late=sum(late is True for late in table["late"]),
+            lengths=dict(sorted(Counter((table["length"] - 1).tolist()).items())),
             failures=dict(sorted(Counter(table["failed_tries"][table["labelled"]].tolist()).items())),
             groups={group: _count(episodes) for group, episodes in _groups(table).items()},
-            recovery=recovery(sequences) if sequences else None,
-            attempts=attempts,
+            recovery=recovery(records) if records else None,
+            attempts=_attempts(dataset.root),
         )
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
         raise DatasetError(
@@ -160,15 +146,14 @@ def _table(dataset: Dataset) -> DataFrame:
     """Returns `episode_values` with counts in every episode, and ``labelled``: whether tries have labels."""
     import pandas as pd
 
-    table = episode_values(dataset)
-    labels = counted_labels(dataset)
-    for name in ("object_id", "category", "object_split", "late", *_COUNTS):
+    table, labels = episode_values(dataset), counted_labels(dataset)
+    counts = {"tries": int, "failed_tries": int, "success": bool}
+    for name in ("object_id", "category", "object_split", "late", "recorded", *counts):
         column = table[name] if name in table else pd.Series([None] * len(table), dtype=object)
-        table[name] = column.where(column.notna(), labels[name]) if name in _COUNTS else column
-    robots = dataset.own_columns.to_pydict().get("recorded", [None] * len(table))
-    table["labelled"] = [robot is None for robot in robots]
-    table["late"] = table["late"] == True  # noqa: E712 (an unknown value is none)
-    return table.astype({**_COUNTS, "length": int})
+        table[name] = column.where(column.notna(), labels[name]) if name in counts else column
+    if "recorded" in dataset.own_columns.column_names:
+        table["recorded"] = dataset.own_columns["recorded"].to_pylist()
+    return table.assign(labelled=table["recorded"].isna()).astype({**counts, "length": int})
 
 
 def _groups(table: DataFrame) -> dict[Group, DataFrame]:
@@ -195,11 +180,13 @@ def _groups(table: DataFrame) -> dict[Group, DataFrame]:
             groups += [RECORDED]
         of_episodes.append(groups)
     whole = table.assign(group=of_episodes).explode("group")
-    shown = worth_showing(whole["group"].unique())
-    order = {
-        group: (KINDS.index(group.by), (*OBJECT_SPLITS, group.name).index(group.name), group.name) for group in shown
+
+    def order(group: Group) -> tuple[int, int, str]:
+        return (KINDS.index(group.by), (*OBJECT_SPLITS, group.name).index(group.name), group.name)
+
+    return {
+        group: whole[whole["group"] == group] for group in sorted(worth_showing(whole["group"].unique()), key=order)
     }
-    return {group: whole[whole["group"] == group] for group in sorted(shown, key=order.__getitem__)}
 
 
 def _count(table: DataFrame) -> GroupStats:

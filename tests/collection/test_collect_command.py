@@ -12,7 +12,7 @@ from lerobot_adamanip.cli import collect_setup as pictures
 from lerobot_adamanip.cli.main import parse
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.datasets.collect_command import PYTHON_ONLY, collect_command
+from lerobot_adamanip.datasets.cards import PYTHON_ONLY, collect_command
 from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.episode.options import EnvironmentOptions

@@ -15,7 +15,7 @@ from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
 from lerobot_adamanip.contract.observation import observation_columns
-from lerobot_adamanip.datasets.check.contract import check_features
+from lerobot_adamanip.datasets.check.features import check_features
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.util.errors import DatasetError

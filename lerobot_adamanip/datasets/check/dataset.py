@@ -6,17 +6,17 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
-from lerobot_adamanip.datasets.check.contract import check_features, contract_of
-from lerobot_adamanip.datasets.check.facts import check_course, check_facts, count_labels, has_facts, read_collection
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.check.facts import check_facts, has_facts, read_collection
+from lerobot_adamanip.datasets.check.features import check_features, contract_of
 from lerobot_adamanip.datasets.check.findings import Progress, Report
-from lerobot_adamanip.datasets.check.reading import read_rows
+from lerobot_adamanip.datasets.check.rows import check_course, check_values, read_rows
 from lerobot_adamanip.datasets.check.statistics import (
     Stored,
     check_episode_statistics,
     check_statistics,
     stored_statistics,
 )
-from lerobot_adamanip.datasets.check.values import check_values
 from lerobot_adamanip.datasets.check.videos import check_videos
 from lerobot_adamanip.datasets.dataset import Dataset, Episode
 from lerobot_adamanip.datasets.opening import (
@@ -64,11 +64,11 @@ def check(
     stored = stored_statistics(dataset.statistics)
     for name in _unlisted_files(dataset):
         report.add("unlisted", "no episode is in this file", name)
-    counted = _check_rows(dataset, stored, report, progress)
+    successes = _check_rows(dataset, stored, report, progress)
     frames, done = _count_rows(dataset) * len(dataset.keys_of("video")), itertools.count(1)
     check_videos(dataset, stored, report, lambda: progress("frames", next(done), frames))
     check_statistics(dataset, stored, report)
-    check_facts(dataset, collected, counted, report)
+    check_facts(dataset, collected, successes, report)
     return report
 
 
@@ -78,25 +78,28 @@ def lacks_cameras(dataset: Dataset) -> bool:
     return named and not (dataset.root / CAMERAS).exists()
 
 
-def _check_rows(dataset: Dataset, stored: Stored, report: Report, progress: Progress) -> dict[int, dict[str, int]]:
-    """Checks the data files; returns episode -> label counts."""
-    counted: dict[int, dict[str, int]] = {}
-    total = _count_rows(dataset)
-    workspace, ours = dataset.workspace, contract_of(dataset.features)
-    for name, episodes in by_data_file(dataset).items():
-        found = read_rows(dataset, name, episodes, report)
-        if found is None:
+def _check_rows(dataset: Dataset, stored: Stored, report: Report, progress: Progress) -> dict[int, bool]:
+    """Checks the data files; returns each episode's success."""
+    successes: dict[int, bool] = {}
+    total, workspace, ours = _count_rows(dataset), dataset.workspace, contract_of(dataset.features)
+    by_file: dict[str, list[Episode]] = {}
+    for episode in dataset.episodes:
+        by_file.setdefault(episode.file, []).append(episode)
+    for name, episodes in by_file.items():
+        content = read_rows(dataset, name, episodes, report)
+        if content is None:
             continue
-        where, table = found
+        where, table = content
         columns = check_values(where, table, dataset.features, workspace, report)
         if has_facts(dataset):
             check_course(where, columns, report)
         report.damaged |= set(where.episodes.tolist()) - set(dataset.row_of)
         check_episode_statistics(where, columns, stored, dataset.row_of, report, ours=ours)
-        counted.update(count_labels(where, columns))
+        if schema.SUCCESS in columns:
+            successes |= {number: bool(columns[schema.SUCCESS][rows].any()) for number, rows in where.runs()}
         report.rows += len(where)
         progress("rows", report.rows, total)
-    return counted
+    return successes
 
 
 def read_metadata(root: Path, report: Report) -> Dataset | None:
@@ -153,14 +156,6 @@ def _check_order(dataset: Dataset, report: Report) -> None:
             if abs(part.end - part.start - episode.length / dataset.fps) > _FRAME:
                 lengths = f"{part.end - part.start:.3f} s of {key} for {episode.length} rows at {dataset.fps}/s"
                 report.add("video-length", lengths, *place)
-
-
-def by_data_file(dataset: Dataset) -> dict[str, list[Episode]]:
-    """Returns data file -> its episodes, in order."""
-    files: dict[str, list[Episode]] = {}
-    for episode in dataset.episodes:
-        files.setdefault(episode.file, []).append(episode)
-    return files
 
 
 def leftovers(root: Path) -> Iterator[Path]:

@@ -11,7 +11,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD
-from lerobot_adamanip.datasets.check.contract import contract_of
+from lerobot_adamanip.datasets.check.features import contract_of
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES, STATS, Dataset
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses

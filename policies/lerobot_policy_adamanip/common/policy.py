@@ -126,7 +126,7 @@ class CloudPolicy(PreTrainedPolicy):
         import draccus
         from huggingface_hub import ModelCard
 
-        from lerobot_adamanip.datasets.cards.templates import check_card
+        from lerobot_adamanip.datasets.cards import check_card
         from lerobot_adamanip.hub.model_card import Checkpoint, model_card
         from lerobot_adamanip.hub.portable_config import shareable
 
