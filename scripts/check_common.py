@@ -3,20 +3,24 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import json
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from multiprocessing import get_context
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from lerobot_adamanip.cli.progress import ProgressLines
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions
 from lerobot_adamanip.evaluation.provenance import present_origin
-from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.errors import AdaManipError, UnreachableError
 
 ROOT = Path(__file__).resolve().parents[1]
 BATCH = 20
@@ -68,8 +72,8 @@ def list_of(allowed: tuple[str, ...] | None) -> Callable[[str], tuple[str, ...]]
     """Returns a parser of comma-separated names from ``allowed``; None allows all."""
 
     def parse(text: str) -> tuple[str, ...]:
-        chosen = tuple(dict.fromkeys(each.strip() for each in text.split(",")))
-        if allowed is not None and (unknown := [each for each in chosen if each not in allowed]):
+        chosen = tuple(dict.fromkeys(name.strip() for name in text.split(",")))
+        if allowed is not None and (unknown := [name for name in chosen if name not in allowed]):
             raise argparse.ArgumentTypeError(f"{', '.join(unknown)} is none of {', '.join(allowed)}")
         return chosen
 
@@ -87,21 +91,42 @@ def parser(description: str | None, *, seeds: int, first_seed: int) -> argparse.
     return made
 
 
-def categories_of(options: argparse.Namespace) -> tuple[str, ...]:
-    """Returns the chosen categories."""
-    return tuple(CATEGORIES) if options.category == ALL else (options.category,)
-
-
 def run_seeds[Result](
-    check: Callable[..., list[Result]], options: argparse.Namespace, *more: Any
+    check: Callable[..., Result], options: argparse.Namespace, *more: Any, **task_options: Any
 ) -> dict[str, list[Result]]:
-    """Runs ``check(category, seeds, *more)`` for the options of `parser`. Returns category -> results."""
-    names, seeds = categories_of(options), range(options.first_seed, options.first_seed + options.seeds)
-    batches = [(name, part, *more) for name in names for part in in_batches(seeds)]
-    found: dict[str, list[Result]] = {name: [] for name in names}
-    for (name, *_), results in run_parallel(check, batches, options.workers, len(names) * options.seeds):
-        found[name] += results
-    return found
+    """Runs `check_scenes` in processes, for the options of `parser`. Returns category -> results."""
+    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
+    seeds = range(options.first_seed, options.first_seed + options.seeds)
+    batches = [(name, part, check, more, task_options) for name in names for part in in_batches(seeds)]
+    results: dict[str, list[Result]] = {name: [] for name in names}
+    for (name, *_), part in run_parallel(check_scenes, batches, options.workers, len(names) * options.seeds):
+        results[name] += part
+    return results
+
+
+def check_scenes[Result](
+    category: str,
+    seeds: Iterable[int],
+    check: Callable[..., Result],
+    more: tuple[Any, ...] = (),
+    task_options: Mapping[str, Any] = MappingProxyType({}),
+) -> list[Result]:
+    """Runs ``check(task, seed, *more)`` on each seed in one simulator. Skips seeds without a placed object."""
+    from lerobot_env_adamanip.simulator import make_task
+
+    warnings.filterwarnings("ignore")
+    results = []
+    with contextlib.closing(make_task(category, **task_options)) as task:
+        for seed in seeds:
+            with contextlib.suppress(UnreachableError):
+                results.append(check(task, seed, *more))
+    return results
+
+
+def print_reports(reports: list[dict[str, Any]], lines: Iterable[str], options: argparse.Namespace) -> int:
+    """Prints a report per category, as JSON or as lines. Returns 0 if all have passed."""
+    sys.stdout.write((json.dumps(reports) if options.json else "\n".join(lines)) + "\n")
+    return 0 if all(report["passed"] for report in reports) else 1
 
 
 def in_batches[Item](items: Sequence[Item]) -> list[list[Item]]:

@@ -10,25 +10,30 @@ the task's success; the expert continues to its own end. For example:
 from __future__ import annotations
 
 import argparse
+import contextlib
 import itertools
 import json
 import sys
 import time
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from check_common import count, header, in_batches, list_of, run_parallel
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
 from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
+from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, UnreachableError
 
@@ -79,23 +84,14 @@ class BlindEnvironment:
 
 def run_batch(episodes: list[Episode]) -> list[Episode]:
     """Runs episodes of one set of mechanism rules and category sequentially in one simulator."""
-    warnings.filterwarnings("ignore")
     from lerobot_env_adamanip.simulator import make_task
 
-    task = make_task(episodes[0].category, mechanism_rules=episodes[0].mechanism_rules)
-    try:
+    warnings.filterwarnings("ignore")
+    with contextlib.closing(make_task(episodes[0].category, mechanism_rules=episodes[0].mechanism_rules)) as task:
         return [_run(task, episode) for episode in episodes]
-    finally:
-        task.close()
 
 
 def _run(task: Any, episode: Episode) -> Episode:
-    import numpy as np
-
-    from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-    from lerobot_adamanip.episode.rollout import rollout
-    from lerobot_adamanip.experts import make_expert
-
     try:
         task.reset(seed=episode.seed, options={"object_id": episode.object_id, "reconfigure": True})
     except UnreachableError as error:
@@ -111,8 +107,8 @@ def _run(task: Any, episode: Episode) -> Episode:
         feedback=task.driver.feedback,
     )
     result = rollout(env, {}, expert)  # type: ignore[arg-type]
-    where = {name: round(position, 3) for name, position in task.simulation.joint_positions().items()}
-    reason = "" if result.success else f"{result.reason}; joints {where}"
+    joints = {name: round(position, 3) for name, position in task.simulation.joint_positions().items()}
+    reason = "" if result.success else f"{result.reason}; joints {joints}"
     return replace(episode, success=result.success, key_frames=env.opened_after, hidden=hidden, reason=reason)
 
 
@@ -121,38 +117,30 @@ Run = Callable[[list[Episode], int], list[Episode]]
 
 def plan(options: argparse.Namespace) -> list[Episode]:
     """Returns all requested episodes. Raises `ConfigurationError` if ``--objects`` belong to other categories."""
-    names = tuple(CATEGORIES) if options.category == ALL else (options.category,)
-    found = []
-    for rules, (split, category, object_ids) in itertools.product(options.mechanism_rules, _selected(names, options)):
+    categories = tuple(CATEGORIES) if options.category == ALL else (options.category,)
+    cells: list[tuple[str, str, str]] = [(name, split, split) for name in categories for split in options.splits]
+    if options.objects:
+        ids = [name.strip() for name in options.objects.split(",")]
+        is_selection = ":" in options.objects or options.objects in SPLITS
+        strangers = [] if is_selection else [name for name in ids if category_of(name) not in categories]
+        if strangers:
+            raise ConfigurationError(
+                "Objects of another category.",
+                got=", ".join(strangers),
+                allowed=f"ids of {', '.join(categories)}",
+                hint=f"--category {category_of(strangers[0])} --objects {strangers[0]}",
+            )
+        own = {name: ",".join(each for each in ids if is_selection or category_of(each) == name) for name in categories}
+        cells = [(name, "chosen", selection) for name, selection in own.items() if selection]
+    episodes = []
+    for rules, (category, split, selection) in itertools.product(options.mechanism_rules, cells):
+        objects = parse_object_selection(category, selection)
+        first_seed = options.first_seed + 10_000 * (SPLITS.index(split) if split in SPLITS else len(SPLITS))
         for number in range(options.episodes):
             # Spread over the objects. Small categories repeat objects with other seeds.
-            chosen = object_ids[number * len(object_ids) // options.episodes % len(object_ids)]
-            seed = options.first_seed + 10_000 * (SPLITS.index(split) if split in SPLITS else len(SPLITS)) + number
-            found += [Episode(rules, category, kind, split, chosen, seed) for kind in options.experts]
-    return found
-
-
-def _selected(names: Sequence[str], options: argparse.Namespace) -> Iterator[tuple[str, str, tuple[str, ...]]]:
-    """Yields split, category and object ids of each cell. Single ids belong to the category in their name."""
-    if not options.objects:
-        for category in names:
-            for split in options.splits:
-                yield split, category, parse_object_selection(category, split)
-        return
-    plain = ":" in options.objects or options.objects in SPLITS
-    ids = [each.strip() for each in options.objects.split(",")]
-    for category in names:
-        mine = options.objects if plain else ",".join(each for each in ids if category_of(each) == category)
-        if mine:
-            yield "chosen", category, parse_object_selection(category, mine)
-    strangers = [] if plain else [each for each in ids if category_of(each) not in names]
-    if strangers:
-        raise ConfigurationError(
-            "Objects of another category.",
-            got=", ".join(strangers),
-            allowed=f"ids of {', '.join(names)}",
-            hint=f"--category {category_of(strangers[0])} --objects {strangers[0]}",
-        )
+            chosen = objects[number * len(objects) // options.episodes % len(objects)]
+            episodes += [Episode(rules, category, kind, split, chosen, first_seed + number) for kind in options.experts]
+    return episodes
 
 
 def grouped(episodes: list[Episode], *names: str) -> dict[tuple[str, ...], list[Episode]]:
@@ -167,33 +155,31 @@ def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
     """Returns a row per cell, and a row ``all`` per category and expert over all splits and mechanism rules."""
     cells = grouped(episodes, "category", "kind", "mechanism_rules", "split")
     cells |= {(*key, "all", "all"): chosen for key, chosen in grouped(episodes, "category", "kind").items()}
-    return [
-        {"category": key[0], "expert": key[1], "mechanism_rules": key[2], "split": key[3], **_counts(chosen)}
-        for key, chosen in sorted(cells.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:]))
-    ]
-
-
-def _counts(episodes: list[Episode]) -> dict[str, Any]:
-    kept = [episode for episode in episodes if episode.success]
-    frames = sum(episode.key_frames for episode in kept) / len(kept) if kept else None
-    return {
-        "attempted": len(episodes),
-        "placed": sum(episode.placed for episode in episodes),
-        "kept": len(kept),
-        **success_summary(rate(len(kept), len(episodes))),
-        "wilson_95": list(wilson_interval(len(kept), len(episodes))),
-        "mean_key_frames": frames,
-    }
+    rows = []
+    for key, chosen in sorted(cells.items(), key=lambda item: (tuple(CATEGORIES).index(item[0][0]), item[0][1:])):
+        frames = [episode.key_frames for episode in chosen if episode.success]
+        rows.append(
+            {
+                **dict(zip(("category", "expert", "mechanism_rules", "split"), key, strict=True)),
+                "attempted": len(chosen),
+                "placed": sum(episode.placed for episode in chosen),
+                "kept": len(frames),
+                **success_summary(rate(len(frames), len(chosen))),
+                "wilson_95": list(wilson_interval(len(frames), len(chosen))),
+                "mean_key_frames": sum(frames) / len(frames) if frames else None,
+            }
+        )
+    return rows
 
 
 def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str]:
     """Returns texts for all values below a threshold: category and expert, and the mean over categories."""
     shares = {(row["category"], row["expert"]): row["kept"] / row["attempted"] for row in rows if row["split"] == "all"}
     low = [f"{category} {kind}: {share:.3f}" for (category, kind), share in shares.items() if share < threshold]
-    for wanted in dict.fromkeys(kind for _, kind in shares):
-        some = [share for (_, kind), share in shares.items() if kind == wanted]
+    for expert in dict.fromkeys(kind for _, kind in shares):
+        some = [share for (_, kind), share in shares.items() if kind == expert]
         if sum(some) / len(some) < mean:
-            low.append(f"mean of {wanted}: {sum(some) / len(some):.4f}")
+            low.append(f"mean of {expert}: {sum(some) / len(some):.4f}")
     return low
 
 
@@ -231,39 +217,34 @@ def result_rows(episodes: list[Episode]) -> list[ResultRow]:
     return rows
 
 
-def command_line() -> argparse.ArgumentParser:
-    """Returns the command line."""
-    made = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="category, or all (%(default)s)")
-    made.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="splits separated by commas")
-    made.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
-    made.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="experts separated by commas")
-    rules = tuple(MECHANISM_RULES)
-    made.add_argument("--mechanism-rules", type=list_of(rules), default=("paper",), help="rules separated by commas")
-    made.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
-    made.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
-    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
-    made.add_argument("--threshold", type=float, default=0.97, help="minimum success rate per category and expert")
-    made.add_argument("--mean", type=float, default=0.99, help="minimum mean success rate over the categories")
-    made.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
-    made.add_argument("--json", action="store_true", help="print JSON instead of the table")
-    return made
-
-
 def run_all(episodes: list[Episode], workers: int) -> list[Episode]:
     """Runs episodes in processes. Episodes of one set of mechanism rules and category share a simulator."""
     groups = grouped(episodes, "mechanism_rules", "category").values()
     batches = [(part,) for group in groups for part in in_batches(group)]
-    found = run_parallel(run_batch, batches, workers, len(episodes))
-    return [episode for _, part in found for episode in part]
+    results = run_parallel(run_batch, batches, workers, len(episodes))
+    return [episode for _, part in results for episode in part]
 
 
 def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     """Parses, runs, prints. Returns 0 if all success rates reach the thresholds, 1 if not, 2 for invalid options."""
-    options, said, begin = command_line().parse_args(arguments), header(), time.monotonic()
+    line = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    line.add_argument("--category", choices=(*CATEGORIES, ALL), default="safe", help="category, or all (%(default)s)")
+    line.add_argument("--splits", type=list_of(SPLITS), default=("seen", "unseen"), help="splits separated by commas")
+    line.add_argument("--objects", help="ids separated by commas, or FIRST:END, instead of splits")
+    line.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="experts separated by commas")
+    rules = tuple(MECHANISM_RULES)
+    line.add_argument("--mechanism-rules", type=list_of(rules), default=("paper",), help="rules separated by commas")
+    line.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
+    line.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
+    line.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
+    line.add_argument("--threshold", type=float, default=0.97, help="minimum success rate per category and expert")
+    line.add_argument("--mean", type=float, default=0.99, help="minimum mean success rate over the categories")
+    line.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
+    line.add_argument("--json", action="store_true", help="print JSON instead of the table")
+    options, metadata, begin = line.parse_args(arguments), header(), time.monotonic()
     try:
         if options.result is not None:
-            check_command(said["command"])
+            check_command(metadata["command"])
         finished = run(plan(options), options.workers)
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
@@ -274,7 +255,7 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
             result_rows(finished),
             kind="expert",
             title=f"scripted experts, mechanism rules {rules}",
-            command=said["command"],
+            command=metadata["command"],
             seeds=[episode.seed for episode in finished],
             scenes=None,
             seconds=time.monotonic() - begin,
@@ -283,8 +264,10 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     rows, failures = summarise(finished), [episode for episode in finished if not episode.success]
     low = below(rows, options.threshold, options.mean)
     seeds = [min(e.seed for e in finished), max(e.seed for e in finished)]
-    content = {**said, "seeds": seeds, "results": rows, "failures": [asdict(e) for e in failures], "below": low}
-    text = json.dumps(content) if options.json else table(rows, failures) + "".join(f"\nbelow: {each}" for each in low)
+    content = {**metadata, "seeds": seeds, "results": rows, "failures": [asdict(e) for e in failures], "below": low}
+    text = (
+        json.dumps(content) if options.json else table(rows, failures) + "".join(f"\nbelow: {value}" for value in low)
+    )
     sys.stdout.write(text + "\n")
     return 1 if low else 0
 

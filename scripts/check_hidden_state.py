@@ -12,21 +12,17 @@ hidden state observable, so the check must fail. Returns 1 if a category fails.
 
 from __future__ import annotations
 
-import contextlib
-import json
 import sys
-import warnings
 from typing import Any
 
 import numpy as np
-from check_common import parser, run_seeds
+from check_common import parser, print_reports, run_seeds
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Phase
 from lerobot_adamanip.contract.observation import state_vector
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.util.errors import UnreachableError
 
 FIRST_SEED = 300
 TURNS = ({"direction": 1, "turn_range": 0.45}, {"direction": -1, "turn_range": 1.0})
@@ -55,10 +51,10 @@ def frames_until_held(
     """
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
-    frames, goal = [_frame(task)], next(expert)
+    frames, goal = [frame(task)], next(expert)
     while goal.phase in (Phase.APPROACH, Phase.GRASP):
         felt = task.execute(goal.action())
-        frames.append(_frame(task))
+        frames.append(frame(task))
         goal = expert.send(felt)
     if look:
         frames[-1].update(cloud=task.cameras.points(), **({"image": task.cameras.image()} if image else {}))
@@ -68,17 +64,18 @@ def frames_until_held(
 def frames_until_tried(task: Any, seed: int, hidden: dict[str, Any]) -> list[Frame]:
     """Moves the open hand to the first part by ``pd_ee_delta_pose``. Returns all data before the first try."""
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
-    goal, frames = next(iter(task.placement.annotations.values())).grasp[:3, 3], [_frame(task)]
+    goal, frames = next(iter(task.placement.annotations.values())).grasp[:3, 3], [frame(task)]
     for _ in range(PLAIN_STEPS):
         here = task.agent.tcp.pose.p[0].cpu().numpy()
         info = task.step(np.array([*np.clip(2 * (goal - here), -1, 1), 0, 0, 0, 1], np.float32))[-1]
         if task.simulation.tries.tries:
             break
-        frames.append({**_frame(task), "info": np.array(sorted(map(str, info.items())))})
+        frames.append({**frame(task), "info": np.array(sorted(map(str, info.items())))})
     return frames
 
 
-def _frame(task: Any) -> Frame:
+def frame(task: Any) -> Frame:
+    """Returns all numbers of arm and object."""
     arm, robot, target = task.simulation.arm_state(), task.agent.robot._objs[0], task._objects.articulation._objs[0]
     return {
         "state": state_vector(task.driver.feedback, arm.qpos, arm.qvel),
@@ -93,57 +90,46 @@ def _frame(task: Any) -> Frame:
 
 def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
     """Returns texts for all data that is not bit-identical."""
-    found = [] if len(first) == len(second) else [f"{len(first)} frames, {len(second)} frames"]
+    texts = [] if len(first) == len(second) else [f"{len(first)} frames, {len(second)} frames"]
     for number, (one, other) in enumerate(zip(first, second, strict=False)):
-        for name, value in one.items():
-            if name not in other or value.shape != other[name].shape:
-                found.append(f"frame {number}: {name} of another shape")
-            elif value.tobytes() != other[name].tobytes():
-                far = np.abs(value.astype(np.float64) - other[name].astype(np.float64)).max()
-                found.append(f"frame {number}: {name} by up to {far:.2g}")
-    return tuple(found)
+        for name, numbers in one.items():
+            if name not in other or numbers.shape != other[name].shape:
+                texts.append(f"frame {number}: {name} of another shape")
+            elif numbers.tobytes() != other[name].tobytes():
+                far = np.abs(numbers.astype(np.float64) - other[name].astype(np.float64)).max()
+                texts.append(f"frame {number}: {name} by up to {far:.2g}")
+    return tuple(texts)
 
 
-def check(category: str, seeds: list[int], hold: bool, plain: bool = False) -> list[tuple[int, tuple[str, ...]]]:
-    """Returns each seed with its differences. Skips seeds without a placed object."""
-    from lerobot_env_adamanip.simulator import make_task
-
-    warnings.filterwarnings("ignore")
-    task, results = make_task(category, **({"control_mode": "pd_ee_delta_pose"} if plain else {})), []
+def check(task: Any, seed: int, hold: bool, plain: bool) -> tuple[int, list[str]]:
+    """Returns the seed and its differences between hidden states."""
     frames_of, task.holds_joints = frames_until_tried if plain else frames_until_held, hold
-    first, *others = VARIANTS[category]
-    try:
-        for seed in seeds:
-            with contextlib.suppress(UnreachableError):
-                own = frames_of(task, seed, first)
-                found = [each for hidden in others for each in differences(own, frames_of(task, seed, hidden))]
-                results.append((seed, tuple(found)))
-    finally:
-        task.close()
-    return results
+    first, *others = (frames_of(task, seed, hidden) for hidden in VARIANTS[task.category])
+    return seed, [text for other in others for text in differences(first, other)]
 
 
 def main() -> int:
     """Parses, runs, prints. Returns 0 if no hidden state is observable."""
-    made = parser(__doc__, seeds=100, first_seed=FIRST_SEED)
-    made.add_argument("--no-hold", action="store_true", help="let joints move from reset on; the check must fail")
-    made.add_argument("--plain", action="store_true", help="ManiSkill's control instead of key frames")
-    options = made.parse_args()
+    line = parser(__doc__, seeds=100, first_seed=FIRST_SEED)
+    line.add_argument("--no-hold", action="store_true", help="let joints move from reset on; the check must fail")
+    line.add_argument("--plain", action="store_true", help="ManiSkill's control instead of key frames")
+    options = line.parse_args()
+    hold, plain = not options.no_hold, options.plain
+    control = {"control_mode": "pd_ee_delta_pose"} if plain else {}
     reports, lines = [], []
-    for name, results in run_seeds(check, options, not options.no_hold, options.plain).items():
-        differing = {seed: list(found) for seed, found in results if found}
+    for name, results in run_seeds(check, options, hold, plain, **control).items():
+        differing = {seed: texts for seed, texts in results if texts}
         counts = {"seeds": len(results), "variants": len(VARIANTS[name]), "differing_seeds": len(differing)}
+        passed = bool(results) and not differing
         reports.append(
-            {"category": name, "hold": not options.no_hold, "plain": options.plain, **counts, "differences": differing}
+            {"category": name, "hold": hold, "plain": plain, **counts, "differences": differing, "passed": passed}
         )
-        reports[-1]["passed"] = bool(results) and not differing
         lines.append(
             f"{name:16} {len(results):4} seeds under {len(VARIANTS[name])} hidden states: "
             f"{len(differing)} differ before anything is tried"
         )
-        lines += [f"  seed {seed}: {'; '.join(found[:4])}" for seed, found in list(differing.items())[:5]]
-    sys.stdout.write((json.dumps(reports) if options.json else "\n".join(lines)) + "\n")
-    return 0 if all(report["passed"] for report in reports) else 1
+        lines += [f"  seed {seed}: {'; '.join(texts[:4])}" for seed, texts in list(differing.items())[:5]]
+    return print_reports(reports, lines, options)
 
 
 if __name__ == "__main__":

@@ -9,31 +9,27 @@ bit-identical under every hidden state until a joint is tried. Returns 1 if a ca
 
 from __future__ import annotations
 
-import contextlib
-import json
 import sys
-import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from itertools import zip_longest
 from typing import Any
 
 import numpy as np
-from check_common import parser, run_seeds
-from check_hidden_state import VARIANTS, Frame, _frame, differences
+from check_common import parser, print_reports, run_seeds
+from check_hidden_state import VARIANTS, Frame, differences, frame
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.keyframes import PRE_GRASP
 from lerobot_adamanip.contract.rotations import pose_vector, transform
 from lerobot_adamanip.episode.tries import MIN_JOINT_MOTION
-from lerobot_adamanip.util.errors import UnreachableError
 
 FIRST_SEED = 800
 HANDS = 5
 """Number of hands per scene."""
-GRIPPERS = (0.0, 0.3, 0.55, 1.0)
-"""Commanded openings."""
+GRIPPERS = {0.0: "closed", 0.3: "half", 0.55: "half", 1.0: "open"}
+"""Commanded openings, and their names."""
 PLACES = {"at": (0.004, 0.05), "near": (0.03, 0.3), "far": (0.25, 1.0)}
 """Place of a hand -> standard deviations of its distance [m] and rotation [rad] from a grasp."""
 WAY, TURN = 0.06, 0.6
@@ -59,15 +55,11 @@ def random_hand(task: Any, rng: np.random.Generator) -> tuple[str, list[NDArray[
     parts, place = list(task.placement.annotations.values()), str(rng.choice(list(PLACES)))
     part, (shift, turn) = parts[rng.integers(len(parts))], PLACES[place]
     grasp = part.moved(task.simulation.joint_positions()) @ _random(rng, shift, turn)
-    first, second = rng.choice(GRIPPERS, 2)
-    gripper = f"{_name(first)} to {_name(second)}"
+    first, second = rng.choice(list(GRIPPERS), 2)
+    gripper = f"{GRIPPERS[first]} to {GRIPPERS[second]}"
     poses = (grasp @ transform((0.0, 0.0, -PRE_GRASP)), grasp, grasp @ _random(rng, WAY, TURN))
     openings = (1.0 if rng.random() < 0.5 else first, first, second)
     return f"{place}, {gripper}", [pose_vector(pose, opening) for pose, opening in zip(poses, openings, strict=True)]
-
-
-def _name(gripper: float) -> str:
-    return "closed" if gripper == 0.0 else "open" if gripper == 1.0 else "half"
 
 
 def _random(rng: np.random.Generator, shift: float, turn: float) -> NDArray[np.float64]:
@@ -77,56 +69,40 @@ def _random(rng: np.random.Generator, shift: float, turn: float) -> NDArray[np.f
 def play(task: Any, seed: int, hidden: dict[str, Any], result: Result) -> tuple[list[Frame], int]:
     """Runs the hands of a scene; returns all frames, and the number of those before the first try."""
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
-    rng, frames, untold = np.random.default_rng(seed), [_frame(task)], 1
-    start, names, kinds = (
-        task.simulation.joint_positions(),
-        task.simulation.mechanism.joints,
-        task.simulation.tries.kinds,
-    )
+    simulation = task.simulation
+    rng, frames, untried = np.random.default_rng(seed), [frame(task)], 1
+    start, names, tracker = simulation.joint_positions(), simulation.mechanism.joints, simulation.tries
     for _ in range(HANDS):
         kind, actions = random_hand(task, rng)
         result.hands += 1
         for action in actions:
-            known, before = [made.ticks for made in task.simulation.tries.tries], task.simulation.joint_positions()
+            ticks, before = [try_.ticks for try_ in tracker.tries], simulation.joint_positions()
             task.execute(action)
-            frames.append(_frame(task))
-            tried = {names[made.joint] for made in task.simulation.tries.tries}
-            result.tries[kind] += len(task.simulation.tries.tries) - len(known)
-            positions, pairs = (
-                task.simulation.joint_positions(),
-                zip_longest(task.simulation.tries.tries, known, fillvalue=0),
-            )
-            now = {names[made.joint] for made, ticks in pairs if made.ticks > ticks}
+            frames.append(frame(task))
+            positions = simulation.joint_positions()
+            result.tries[kind] += len(tracker.tries) - len(ticks)
+            pairs = zip_longest(tracker.tries, ticks, fillvalue=0)
+            now = {names[try_.joint] for try_, earlier in pairs if try_.ticks > earlier}
             moved = {name for name in names if abs(positions[name] - before[name]) > MIN_JOINT_MOTION["revolute"]}
             result.own_motions += len(moved - now)
-            for name in set(names) - tried:
-                if abs(positions[name] - start[name]) > MAX_GIVING_SHARE * MIN_JOINT_MOTION[kinds[name]]:
+            for name in set(names) - {names[try_.joint] for try_ in tracker.tries}:
+                if abs(positions[name] - start[name]) > MAX_GIVING_SHARE * MIN_JOINT_MOTION[tracker.kinds[name]]:
                     result.wrong.append(f"{name} moved by {positions[name] - start[name]:.3g} without a try; {kind}")
-                if name not in task.simulation.held:
+                if name not in simulation.held:
                     result.wrong.append(f"{name} was released without a try; {kind}")
-        untold = len(frames) if not task.simulation.tries.tries else untold
-    return frames, untold
+        untried = untried if tracker.tries else len(frames)
+    return frames, untried
 
 
-def check(category: str, seeds: list[int]) -> list[Result]:
-    """Returns the result of each seed. Skips seeds without a placed object."""
-    from lerobot_env_adamanip.simulator import make_task
-
-    warnings.filterwarnings("ignore")
-    task, results = make_task(category), []
-    try:
-        for seed in seeds:
-            result = Result(seed)
-            with contextlib.suppress(UnreachableError):
-                first, *others = (play(task, seed, hidden, result) for hidden in VARIANTS[category])
-                for frames, untold in others:
-                    same = min(untold, first[1])
-                    result.wrong += differences(first[0][:same], frames[:same])
-                result.hands //= len(VARIANTS[category])
-                results.append(result)
-    finally:
-        task.close()
-    return results
+def check(task: Any, seed: int) -> Result:
+    """Returns the result of a scene under all hidden states."""
+    result, variants = Result(seed), VARIANTS[task.category]
+    first, *others = (play(task, seed, hidden, result) for hidden in variants)
+    for frames, untried in others:
+        same = min(untried, first[1])
+        result.wrong += differences(first[0][:same], frames[:same])
+    result.hands //= len(variants)
+    return result
 
 
 def main() -> int:
@@ -136,17 +112,15 @@ def main() -> int:
     for name, results in run_seeds(check, options).items():
         tries: Counter[str] = sum((result.tries for result in results), Counter())
         wrong = {result.seed: result.wrong for result in results if result.wrong}
-        hands = sum(result.hands for result in results)
-        reports.append({"category": name, "hands": hands, "tries": dict(sorted(tries.items())), "wrong": wrong})
-        own = sum(result.own_motions for result in results)
-        reports[-1]["own_motions"] = own
+        hands, own = sum(result.hands for result in results), sum(result.own_motions for result in results)
+        counts = {"hands": hands, "tries": dict(sorted(tries.items())), "own_motions": own}
+        reports.append({"category": name, **counts, "wrong": wrong, "passed": hands > 0 and not wrong})
         lines.append(
             f"{name:16} {hands:5} hands, {sum(tries.values()):5} tries, {own} motions by spring or gravity after one, "
             f"{len(wrong)} scenes break the law"
         )
-        lines += [f"  seed {seed}: {'; '.join(found[:3])}" for seed, found in list(wrong.items())[:5]]
-    sys.stdout.write((json.dumps(reports) if options.json else "\n".join(lines)) + "\n")
-    return 0 if all(report["hands"] and not report["wrong"] for report in reports) else 1
+        lines += [f"  seed {seed}: {'; '.join(texts[:3])}" for seed, texts in list(wrong.items())[:5]]
+    return print_reports(reports, lines, options)
 
 
 if __name__ == "__main__":

@@ -33,11 +33,6 @@ DEFAULT_LATE_STARTS = 0.15
 """Share of collected episodes that start from a perturbed mid-task state."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
 """Option -> its key in files (manifests, episode logs), if the two differ."""
-RENAMED = {
-    "mechanism_preset": ("mechanism_rules", "paper, upstream or hard", "upstream"),
-    "pose_preset": ("poses", "randomized (was default) or fixed (was paper)", "fixed"),
-}
-"""Former name of an option -> name, values, example."""
 
 
 @dataclass(frozen=True)
@@ -152,24 +147,10 @@ def from_stored(values: Mapping[str, Any]) -> dict[str, Any]:
     return {names.get(name, name): value for name, value in values.items()}
 
 
-def refuse_former_name(former: str, value: object) -> None:
-    """Raises `ConfigurationError` with the new name of an option if its former name has a value."""
-    if value is not None:
-        name, allowed, example = RENAMED[former]
-        raise ConfigurationError(
-            f"{former} is called {name} now.",
-            got=f"{former}={value!r}",
-            allowed=f"{name}: {allowed}",
-            hint=f"{name}={example!r} (Python), --env.{name}={example} (LeRobot's commands)",
-        )
-
-
 def require_known(values: Mapping[str, Any]) -> None:
     """Raises `ConfigurationError` if a key is not an option of `EnvironmentOptions`."""
     known = [item.name for item in fields(EnvironmentOptions)]
     for name in values:
-        if name in RENAMED:
-            refuse_former_name(name, values[name])
         require_choice("option of an environment", name, known)
 
 

@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from demos_helpers import HERE, NoWorkers, fakes, make_spec, patiently, same_bytes, same_content
+from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes, same_content
 
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.output_folder import lock_output
-from lerobot_adamanip.util import jobs
 from lerobot_adamanip.util.errors import DatasetError
 
 here = pytest.mark.usefixtures("in_process")
@@ -124,18 +122,6 @@ def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
 
 
 @here
-def test_an_interrupted_assembly_starts_over(tmp_path: Path, finished: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    root = tmp_path / "dataset"
-    with pytest.raises(KeyboardInterrupt):
-        collect(root, make_spec(), fakes(), patiently(), interrupting("assemble", 3))
-    assert not root.exists()
-    monkeypatch.setattr(jobs, "WorkerPool", NoWorkers)
-    collect(root, make_spec(), fakes(), patiently())
-    same_bytes(finished, root)
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["dataset"]
-
-
-@here
 def test_a_damaged_episode_file_is_recorded_again(tmp_path: Path, finished: Path) -> None:
     root = tmp_path / "dataset"
     with pytest.raises(KeyboardInterrupt):
@@ -175,18 +161,6 @@ def test_a_collection_that_never_recorded_anything_binds_nobody(tmp_path: Path, 
     hopeless = fakes(hopeless="safe_000", code="b")
     refuses(DatasetError, lambda: collect(root, make_spec(objects=("safe_000",)), hopeless, patiently(max_attempts=1)))
     assert collect(root, make_spec(), fakes(), patiently()).episodes == 6
-
-
-def test_a_folder_of_something_else_is_not_touched(tmp_path: Path, refuses: Refuses) -> None:
-    (tmp_path / "thesis.tex").write_text("precious")
-    refuses(DatasetError, lambda: collect(tmp_path, make_spec(), fakes()))
-    assert (tmp_path / "thesis.tex").read_text() == "precious"
-
-
-def test_only_one_collection_at_a_time(tmp_path: Path, refuses: Refuses) -> None:
-    root = tmp_path / "dataset"
-    with lock_output(root):
-        assert "Another command" in refuses(DatasetError, lambda: collect(root, make_spec(), fakes()))
 
 
 @here

@@ -11,7 +11,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, Outcome, Phase
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, rollout
+from lerobot_adamanip.episode.rollout import EpisodeRecorder, rollout
 from lerobot_adamanip.util.errors import UnreachableError
 
 PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY)
@@ -73,15 +73,6 @@ def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
     assert columns[schema.ACTION][-1][schema.GRIPPER_DIM] == 0.0  # what is held stays held
 
 
-def test_a_demonstration_goes_on_past_success_until_its_expert_ends() -> None:
-    for past, key_frames in ((False, 1), (True, 3)):
-        env, first = ready(locked=False)
-        recorder = EpisodeRecorder(env.joints)
-        result = rollout(env, first, play(PULL, FARTHER, FARTHER), recorder.record, past_success=past)
-        assert (result.success, result.key_frames, result.reason) == (True, key_frames, "success")
-        assert len(recorder.columns()[schema.ACTION]) == key_frames + 1
-
-
 def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
     env, first = ready(locked=False)
     recorder = EpisodeRecorder(env.joints)
@@ -92,35 +83,6 @@ def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
     for key, feature in features.items():
         assert columns[key].shape == (3, *feature["shape"])
         assert columns[key].dtype == ("uint8" if feature["dtype"] == "video" else feature["dtype"])
-
-
-def test_an_expert_hears_of_every_key_frame_and_is_closed() -> None:
-    env, first = ready(locked=True)
-    heard: list[Feedback] = []
-    closed = []
-
-    def expert() -> Iterator[Goal]:
-        try:
-            while True:
-                heard.append((yield PULL))
-        finally:
-            closed.append(True)
-
-    result = rollout(env, first, expert())
-    assert result.key_frames == env.max_key_frames
-    assert (result.success, result.reason, closed) == (False, "time limit", [True])
-    assert all(feedback.outcome is Outcome.STALLED for feedback in heard)
-
-
-@pytest.mark.parametrize(
-    ("goals", "past", "reason"),
-    [([PULL], False, "the expert ended without success"), ([PULL] * 100, True, "time limit")],
-)
-def test_an_expert_fails_without_ideas_or_time(goals: list[Goal], past: bool, reason: str) -> None:
-    env, first = ready(locked=True)
-    result = rollout(env, first, play(*goals), past_success=past)
-    assert (result.success, result.reason) == (False, reason)
-    assert result.key_frames == min(len(goals), env.max_key_frames)
 
 
 def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_buffers() -> None:
@@ -135,7 +97,30 @@ def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_bu
     assert seen[schema.STATE].max() < 7.0
 
 
-def test_feedback_from_before_the_first_key_frame_is_no_outcome() -> None:
-    env, observation = ready(locked=False)
-    with pytest.raises(ValueError, match="outcome"):
-        EpisodeRecorder(env.joints).record(KeyFrame(observation, PULL, env.feedback, observation, False, env.labels))
+@pytest.mark.parametrize(
+    ("locked", "goals", "past", "key_frames", "reason"),
+    [
+        (False, [PULL, FARTHER, FARTHER], False, 1, "success"),
+        (False, [PULL, FARTHER, FARTHER], True, 3, "success"),  # a demonstration goes on until its expert ends
+        (True, [PULL], False, 1, "the expert ended without success"),
+        (True, [PULL] * 100, True, FakeEnv.max_key_frames, "time limit"),
+    ],
+)
+def test_a_rollout_ends_with_success_its_expert_or_its_time(
+    locked: bool, goals: list[Goal], past: bool, key_frames: int, reason: str
+) -> None:
+    env, first = ready(locked=locked)
+    recorder, heard, closed = EpisodeRecorder(env.joints), list[Feedback](), list[bool]()
+
+    def expert() -> Iterator[Goal]:
+        try:
+            for goal in goals:
+                heard.append((yield goal))
+        finally:
+            closed.append(True)
+
+    result = rollout(env, first, expert(), recorder.record, past_success=past)
+    assert (result.success, result.key_frames, result.reason) == (not locked, key_frames, reason)
+    assert len(recorder.columns()[schema.ACTION]) == key_frames + 1
+    assert closed == [True]
+    assert all(feedback.outcome is (Outcome.STALLED if locked else Outcome.REACHED) for feedback in heard)

@@ -1,4 +1,4 @@
-"""Clouds and pictures: the same however they are made. ``scripts/check_clouds.py`` compares many scenes."""
+"""Clouds and pictures: the same however they are made."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from typing import Any
 
-import check_clouds
 import gymnasium as gym
 import numpy as np
 import pytest
+import rays_and_renderer
+from check_common import check_scenes
 from envs_helpers import NO_VULKAN, at_once_or_at_night, in_fresh_process
 
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -33,10 +34,10 @@ def task() -> Iterator[Any]:
 
 
 def test_rays_and_renderer_see_the_same(task: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    counts = sum(check_clouds.views(task, 310, every=6), check_clouds.Counts())
+    counts = sum(rays_and_renderer.views(task, 310, every=6), rays_and_renderer.Counts())
     assert counts.views >= 2
     assert counts.pixels > 5000
-    assert counts.off_1mm <= check_clouds.MOST_OFF * counts.pixels
+    assert counts.off_1mm <= rays_and_renderer.MOST_OFF * counts.pixels
     assert counts.off_2mm <= 3 * counts.views  # on the edges of what is seen, where a renderer rounds corners
     original = Body.pose
 
@@ -46,7 +47,19 @@ def test_rays_and_renderer_see_the_same(task: Any, monkeypatch: pytest.MonkeyPat
         return pose
 
     monkeypatch.setattr(Body, "pose", moved)
-    assert not check_clouds.compare(task).passed, "half a centimetre is noticed"
+    assert not rays_and_renderer.compare(task).passed, "half a centimetre is noticed"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_rays_and_renderer_see_the_same_in_every_category(category: str) -> None:
+    def compare(task: Any, seed: int) -> rays_and_renderer.Counts:
+        return sum(rays_and_renderer.views(task, seed, every=4), rays_and_renderer.Counts())
+
+    options = {"cloud_source": "render", "num_points": PAPER_NUM_POINTS}
+    counts = sum(check_scenes(category, range(300, 305), compare, task_options=options), rays_and_renderer.Counts())
+    assert counts.views >= 5
+    assert counts.passed, counts
 
 
 def test_pictures_are_those_of_plain_maniskill(task: Any, monkeypatch: pytest.MonkeyPatch) -> None:

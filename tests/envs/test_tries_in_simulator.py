@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import check_tries
 import pytest
+from check_common import check_scenes
 from envs_helpers import at_once_or_at_night
 
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -13,7 +14,7 @@ pytestmark = pytest.mark.sim
 
 @at_once_or_at_night("category", CATEGORIES, ("lamp", "microwave"))
 def test_no_joint_moves_or_is_released_or_tells_without_a_try(category: str) -> None:
-    results = check_tries.check(category, list(range(6)))
+    results = check_scenes(category, range(6), check_tries.check)
     assert [result.wrong for result in results] == [[]] * len(results)
     assert sum(result.hands for result in results) >= 20
     assert sum(sum(result.tries.values()) for result in results) > 0, "some hands try"

@@ -73,27 +73,6 @@ def test_as_many_failed_pulls_come_before_the_key_as_asked_for(category: str, tr
     assert run(unlocked, adaptive(unlocked, seed, trials)).phases.count(Phase.TRY) == 1, "what gives is pulled once"
 
 
-@every_door
-@fast
-@given(st.booleans(), seeds, st.integers(1, 2))
-def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(category: str, locked: bool, seed: int, torn: int) -> None:
-    world = KinematicWorld(f"{category}_020", hidden(category, locked), torn=torn)
-    episode = run(world, adaptive(world, seed))
-    first_pull = episode.phases.index(Phase.TRY)
-    assert episode.felt[first_pull].outcome is Outcome.REACHED
-    assert episode.phases[first_pull + 1] is Phase.RELEASE, "an empty hand that got there has opened nothing"
-    assert episode.opened > OPEN
-
-
-@pytest.mark.parametrize("direction", [-1, 1])
-def test_which_direction_comes_first_is_left_to_chance_and_not_to_the_truth(direction: int) -> None:
-    firsts = []
-    for seed in range(200):
-        world = KinematicWorld("safe_005", hidden("safe", True, direction))
-        firsts.append(run(world, adaptive(world, seed), until="knob").turns()[0][0])
-    assert np.mean(np.array(firsts) == 1) == pytest.approx(0.5, abs=0.12)
-
-
 @fast
 @given(object_names("microwave"), seeds)
 def test_a_button_is_pushed_with_a_closed_hand_until_it_stops(name: str, seed: int) -> None:

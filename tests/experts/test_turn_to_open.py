@@ -24,7 +24,7 @@ seeds = st.integers(0, 2**31 - 1)
 fractions = st.floats(0.5, 1.0)
 directions = st.sampled_from([-1, 1])
 every_turned = pytest.mark.parametrize("category", TURNED_TO_OPEN)
-LIFTED, SWUNG = ("bottle", "pen", "pressure_cooker", "coffee_maker"), ("window", "door")
+SWUNG = ("window", "door")
 
 
 def upstream_s(category: str) -> TurnToOpen:
@@ -72,12 +72,13 @@ def test_a_direction_that_failed_is_not_tried_again(
     assert signs[-1] == direction
 
 
-@every_turned
+@pytest.mark.parametrize("category", [*TURNED_TO_OPEN, "safe"])
 @pytest.mark.parametrize("direction", [-1, 1])
 def test_which_direction_comes_first_is_left_to_chance_and_not_to_the_truth(category: str, direction: int) -> None:
-    name, firsts = first_object(category), []
+    drawn = {"direction": direction, **({"locked": True} if category == "safe" else {})}
+    firsts = []
     for seed in range(100):
-        world = KinematicWorld(name, hidden(name, direction, 0.6))
+        world = KinematicWorld(first_object(category), drawn, draw=seed)
         firsts.append(run(world, adaptive(world, seed), until=world.key).turns()[0][0])
     assert np.mean(np.array(firsts) == 1) == pytest.approx(0.5, abs=0.17)
 
@@ -102,21 +103,13 @@ def test_a_blocked_try_is_followed_by_a_turn_and_a_stop_by_a_try_in_one_grip(
     assert all(goal.gripper == 0.0 for goal in episode.goals[2:])
 
 
-@pytest.mark.parametrize("category", LIFTED)
-def test_a_lift_comes_first_in_some_episodes_and_not_in_others(category: str) -> None:
-    name, first = first_object(category), []
+@every_turned
+def test_a_lift_comes_first_in_some_episodes_and_a_window_or_door_is_always_turned_first(category: str) -> None:
+    first = []
     for seed in range(60):
-        world = KinematicWorld(name, draw=seed)
+        world = KinematicWorld(first_object(category), draw=seed)
         first.append(run(world, adaptive(world, seed), until="any").moves[0].joint == world.final)
-    assert 0.25 < np.mean(first) < 0.75
-
-
-@pytest.mark.parametrize("category", SWUNG)
-@fast
-@given(st.data(), seeds, seeds)
-def test_a_window_or_door_is_turned_first(category: str, data: st.DataObject, draw: int, seed: int) -> None:
-    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
-    assert run(world, adaptive(world, seed), until="any").moves[0].joint == world.key
+    assert np.mean(first) == 0.0 if category in SWUNG else 0.25 < np.mean(first) < 0.75
 
 
 @every_turned
@@ -183,12 +176,6 @@ def test_upstream_s_expert_neither_tries_first_nor_before_its_angle(
 
 
 @every_turned
-def test_upstream_s_angle_is_the_least_that_can_be_enough(category: str) -> None:
-    nominal = cached_object(first_object(category)).joint(STYLES[category].key).limits[1]
-    assert STYLES[category].not_before == pytest.approx(0.5 * 0.85 * nominal, abs=1e-3)
-
-
-@every_turned
 @fast
 @given(st.data(), directions, fractions, seeds)
 def test_who_turns_to_the_stop_tries_once(
@@ -204,23 +191,6 @@ def test_who_turns_to_the_stop_tries_once(
     # One turn the wrong way, and one into the stop, are all that can fail.
     blocked = [move for move in episode.moves[:first] if abs(move.end - move.start) < 0.05]
     assert len(blocked) <= 2
-
-
-@every_turned
-@fast
-@given(directions, fractions, st.integers(1, 2), seeds)
-def test_a_grip_that_is_torn_off_is_noticed_and_taken_again(
-    category: str, direction: int, fraction: float, torn: int, seed: int
-) -> None:
-    name = first_object(category)
-    for kind in (adaptive, static):
-        world = KinematicWorld(name, hidden(name, direction, fraction), torn=torn)
-        episode = run(world, kind(world, seed))
-        lost = [k for k, felt in enumerate(episode.felt) if felt.gripper < 0.05]
-        assert len(lost) == torn
-        assert all(episode.phases[k + 1] is Phase.RELEASE for k in lost)
-        assert episode.phases.count(Phase.GRASP) == 1 + torn, "it is where it was felt last"
-        assert episode.opened == pytest.approx(STYLES[category].opening[-1], rel=0.1)
 
 
 class SlippingGrip(KinematicWorld):

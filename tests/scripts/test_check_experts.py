@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
-from check_experts import BlindEnvironment, Episode, below, main, summarise
+from check_experts import Episode, below, main, summarise
 
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
@@ -63,21 +64,24 @@ def test_objects_are_run_wherever_they_belong(capsys: pytest.CaptureFixture[str]
         assert ({e.object_id for e in fake.seen}, len(fake.seen)) == (ids, 8)
 
 
-@pytest.mark.parametrize(("category", "ids"), [("safe", "door_009"), ("all", "fridge_001"), ("safe", "safe_x")])
-def test_objects_that_are_not_there_are_refused_and_nothing_runs(
-    category: str, ids: str, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ("--objects", "door_009"), ("--category", "all", "--objects", "fridge_001"), ("--objects", "safe_x"),
+        ("--splits", "all"), ("--episodes", "0"), ("--mechanism-rules", "author"), ("--result", "/home/me/out.json"),
+    ],
+)  # fmt: skip
+def test_a_wrong_option_is_refused_and_nothing_runs(
+    arguments: tuple[str, ...], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr("sys.argv", ["scripts/check_experts.py", *arguments])
     fake = Fake()
-    assert main(("--category", category, "--objects", ids), fake) == 2
-    assert fake.seen == []
-    assert "got:" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("arguments", [("--splits", "all"), ("--episodes", "0"), ("--mechanism-rules", "author")])
-def test_a_wrong_option_is_refused(arguments: tuple[str, ...]) -> None:
-    with pytest.raises(SystemExit) as caught:
-        main(arguments, Fake())
-    assert caught.value.code == 2
+    try:
+        code: object = main(arguments, fake)
+    except SystemExit as error:  # of the parser
+        code = error.code
+    assert (code, fake.seen) == (2, [])
+    assert re.search("got:|error:", capsys.readouterr().err)
 
 
 def test_a_share_below_the_threshold_is_told_and_fails(capsys: pytest.CaptureFixture[str]) -> None:
@@ -111,30 +115,3 @@ def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
     assert [(row.subject, row.objects) for row in result.rows] == cells
     assert all(row.metrics.hidden == {"locked": rate(2, 2), "unlocked": rate(2, 2)} for row in result.rows)
     assert all(row.metrics.key_frames == {7: 4} for row in result.rows)
-
-
-def test_a_result_with_a_path_of_this_machine_is_refused_before_anything_runs(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("sys.argv", ["scripts/check_experts.py", "--result", "/home/me/out.json"])
-    fake = Fake()
-    assert main(["--result", str(tmp_path / "r.json")], fake) == 2
-    assert fake.seen == []
-    assert "must run elsewhere" in capsys.readouterr().err
-
-
-def test_an_environment_without_eyes_goes_on_past_success() -> None:
-    class Task:
-        feedback, opened = "felt", iter([False, True, True])
-
-        def execute(self, action: Any) -> None:
-            self.action = action
-
-        def succeeded(self) -> bool:
-            return next(self.opened)
-
-    env = BlindEnvironment(Task(), 45)
-    ends = [env.step(number) for number in range(3)]
-    assert not any(terminated for _, _, terminated, _, _ in ends)
-    assert [info["is_success"] for *_, info in ends] == [False, True, True]
-    assert env.opened_after == 2

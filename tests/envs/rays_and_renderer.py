@@ -1,34 +1,21 @@
-"""Compares ray-cast clouds with rendered clouds pixel by pixel, before, during and after an expert's episode.
-
-For each category and seed, the depth camera and the rays observe the same scene: at reset, and after every
-``--every``-th key frame of the adaptive expert. The script counts the pixels that either one sees in the workspace. It
-also counts those that differ by more than 1 and 2 mm along any camera axis.
+"""Comparison of ray-cast clouds with rendered clouds, pixel by pixel, before, during and after an expert's episode.
 
 A ray is exact; a renderer rounds triangle corners to 1/256 pixel. At an edge, a pixel may then show the other side. On
 a surface at a grazing angle, its depth may differ by millimetres. So pixels that differ by more than 2 mm, but agree
 with a ray up to 1/8 pixel away, are counted separately as explained.
-
-Returns 1 if more than 0.1 % of the pixels differ by more than 1 mm, or if one unexplained pixel differs by more than
-2 mm. For example: ``python scripts/check_clouds.py --category all --seeds 20 --json``. Needs a Vulkan device.
 """
 
 from __future__ import annotations
 
-import json
-import sys
-import warnings
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from check_common import count, header, parser, run_seeds
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.keyframes import Feedback, KeyFrames
-from lerobot_adamanip.contract.schema import PAPER_NUM_POINTS
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.util.errors import UnreachableError
 
 MOST_OFF = 0.001
 """Maximum share of pixels that differ by more than 1 mm."""
@@ -126,38 +113,3 @@ def views(task: Any, seed: int, every: int) -> Iterator[Counts]:
             goal = expert.send(felt)
         except StopIteration:
             return
-
-
-def check(category: str, seeds: list[int], every: int) -> list[Counts]:
-    """Compares a category on seeds. Skips scenes that cannot be placed."""
-    from lerobot_env_adamanip.simulator import make_task
-
-    warnings.filterwarnings("ignore")
-    task, found = make_task(category, cloud_source="render", num_points=PAPER_NUM_POINTS), []
-    try:
-        for seed in seeds:
-            try:
-                found.append(sum(views(task, seed, every), Counts()))
-            except UnreachableError:
-                found.append(Counts())
-    finally:
-        task.close()
-    return found
-
-
-def main() -> int:
-    """Parses, runs, prints. Returns 0 if both agree."""
-    made = parser(__doc__, seeds=20, first_seed=300)
-    made.add_argument("--every", type=count, default=4, help="key frames between two views (%(default)s)")
-    options = made.parse_args()
-    totals = {name: sum(found, Counts()) for name, found in run_seeds(check, options, options.every).items()}
-    rows = {name: {**asdict(counts), "passed": counts.passed} for name, counts in totals.items()}
-    passed = all(counts.passed for counts in totals.values())
-    lines = (f"{name}: {', '.join(f'{key} {value}' for key, value in row.items())}" for name, row in rows.items())
-    content = {**header(), "categories": rows, "passed": passed}
-    sys.stdout.write((json.dumps(content) if options.json else "\n".join(lines)) + "\n")
-    return 0 if passed else 1
-
-
-if __name__ == "__main__":
-    sys.exit(main())
