@@ -25,9 +25,9 @@ from check_common import count, header, in_batches, list_of, run_parallel
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
+from lerobot_adamanip.evaluation.record import hidden_names
 from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, UnreachableError

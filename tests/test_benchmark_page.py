@@ -6,9 +6,9 @@ import re
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES
-from lerobot_adamanip.benchmark.result import read_cell
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.rates import success_summary
+from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGE = (ROOT / "docs" / "upstream" / "adamanip.md").read_text(encoding="utf-8")
@@ -49,8 +49,8 @@ def test_results_are_those_of_the_result_file() -> None:
     shown, (commit,) = rows("Reproducing results"), re.findall(r"commit `(\w+)`", PAGE)
     for name in PAPER_CATEGORIES:
         for cell, objects in zip(shown[f"adamanip_{name}"], ("seen", "unseen", "novel"), strict=True):
-            result = read_cell(ROOT / "results" / "benchmark" / "test" / f"corrected-{name}-{objects}-1000.json")
+            result = read_result(ROOT / "results" / "benchmark" / "test" / f"corrected-{name}-{objects}-1000.json")
             assert str(result.commit).startswith(commit)
-            keys = success_summary(result.numbers.success)
+            keys = success_summary(result.rows[0].metrics.success)
             low, high = keys["pc_success_ci95"]
             assert cell == f"{keys['n_success']}/{keys['n_episodes']} [{low:.1f}, {high:.1f}]"

@@ -11,8 +11,7 @@ from lerobot_adamanip.contract.keyframes import CLOSED_HAND, KeyFrameLabels
 from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
-from lerobot_adamanip.evaluation.log import append_record
-from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record
 from lerobot_adamanip.mechanisms import best_tries
 
 if TYPE_CHECKING:  # the simulator is imported at the first reset

@@ -21,8 +21,7 @@ from lerobot_adamanip.contract.schema import FPS
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
-from lerobot_adamanip.evaluation.log import new_run_id
-from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, new_run_id
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice
 from lerobot_env_adamanip.episode_log import EpisodeLog, EpisodeMonitor

@@ -19,10 +19,10 @@ from lerobot_adamanip.datasets.attempts import attempts_path, by_hidden_value, r
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.datasets.selection import selection_path
-from lerobot_adamanip.evaluation.groups import ALL, Group, group_records, groups_of, hidden_boundaries, worth_showing
+from lerobot_adamanip.evaluation.metrics import Recovery, recovery
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
-from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
-from lerobot_adamanip.evaluation.tries import Recovery, recovery
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, hidden_boundaries
+from lerobot_adamanip.evaluation.report import ALL, Group, group_records, groups_of, worth_showing
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 from lerobot_adamanip.util.json_fields import integer, parse, read

@@ -17,7 +17,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.merge import merge
 from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.datasets.stats import read_stats
-from lerobot_adamanip.evaluation.groups import Group
+from lerobot_adamanip.evaluation.report import Group
 from lerobot_adamanip.util.errors import DatasetError
 
 
