@@ -29,9 +29,9 @@ from lerobot_adamanip.catalog import category_of, object_split, parse_object_sel
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.episode.rollout import rollout
-from lerobot_adamanip.evaluation.groups import hidden_names
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
+from lerobot_adamanip.evaluation.record import hidden_names
 from lerobot_adamanip.evaluation.results import ResultRow, check_command, make_result, write_result
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.mechanisms import MECHANISM_RULES

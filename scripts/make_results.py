@@ -1,118 +1,190 @@
 """Writes the results of docs and README: ``python scripts/make_results.py [--check]``.
 
-The documents are docs/results.md, docs/results.csv, docs/leaderboard.md, and blocks in the README and two notes.
-The sources are results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. README and
-docs/results.md say if they were measured with another simulation version than the present one.
+The documents are docs/results.md, docs/results.csv, docs/leaderboard.md, and a block in the README. The sources are
+results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. README and docs/results.md say if they
+were measured with another simulation version than the present one. results/archive has results of earlier code.
 """
 
 from __future__ import annotations
 
+import re
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from itertools import chain
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 
 from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
-from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, violations
-from lerobot_adamanip.benchmark.paired_text import effects_table
+from lerobot_adamanip.benchmark.leaderboard import TRAINING_SEED, leaderboard_page, problems
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page, means_beside_paper, success_by_category, summary
-from lerobot_adamanip.benchmark.result import CellResult, read_cells
+from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page, means_beside_paper, summary
 from lerobot_adamanip.contract.versions import earlier_version, mixed_versions
-from lerobot_adamanip.evaluation.results import ResultFile, read_result
-from lerobot_adamanip.evaluation.results_page import END, START, csv_rows, readme_block, results_page, with_block
-from lerobot_adamanip.evaluation.tables import csv_table
+from lerobot_adamanip.evaluation.provenance import machine_text
+from lerobot_adamanip.evaluation.report import OBJECT_SPLITS
+from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, read_results
+from lerobot_adamanip.evaluation.text_format import csv_table, duration_text, markdown_table, percent_text, words
+from lerobot_adamanip.util.errors import DatasetError
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
 MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "paper": means_beside_paper}
 """Scale -> its means in the README."""
-SCALES = ("test", "paper", "cpu", "overfit")
+SCALES = ("test", "paper")
 """Order of the scales on the page; others follow."""
+PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
+README, RESULTS = ROOT / "README.md", ROOT / "results"
+START, END = "<!-- results -->", "<!-- /results -->"
+NOTHING = "No number is shown here: none has been measured yet."
+INTRODUCTION = """# Results
+
+Generated from the files in `results/` by `python scripts/make_results.py`; a test compares the two.
+[results.csv](results.csv) has all metrics and intervals of all rows; [metrics](metrics.md) defines them.
+Numbers of different *simulation versions* are of different episodes: do not compare them. Commands are in the files.
+They are those of the commit below each table; later versions may spell them otherwise.
+"""
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
 ![Success by method and category, with intervals, scale test](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 """
-PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
-README, RESULTS, NOTES = ROOT / "README.md", ROOT / "results", ROOT / "docs" / "research"
-TABLES: dict[Path, tuple[str, Callable[[BenchmarkReport], str]]] = {
-    NOTES / "memory.md": ("test", effects_table),
-    NOTES / "paper_setting.md": ("paper", success_by_category),
-}
-"""Document -> scale and table of the block that it holds."""
-
-
-def read_results(folder: Path) -> dict[str, ResultFile]:
-    """Returns file name -> result, sorted by name. Raises `DatasetError` for an invalid file."""
-    return {path.name: read_result(path) for path in sorted(folder.glob("*.json"))}
 
 
 def benchmark_reports(folder: Path) -> Iterator[BenchmarkReport]:
     """Yields a report per scale of our declarations that has results."""
     for declaration in map(read_declaration, sorted(PAPER_TABLE.parent.glob("*.toml"))):
         for scale in declaration.scales:
-            if results := read_cells(folder / "benchmark" / scale):
-                yield make_report(results, declaration, scale)
+            if results := read_results(folder / "benchmark" / scale):
+                yield make_report(results.values(), declaration, scale)
 
 
-def entries(folder: Path) -> dict[str, list[CellResult]]:
-    """Returns name -> result files of the leaderboard's entries, of the newest simulation version that has any.
-
-    Those that break its rule are left out.
-    """
-    found = {path.name: read_cells(path) for path in sorted((folder / "leaderboard").glob("*/"))}
-    methods = read_declaration(PAPER_TABLE.with_name("default_policy.toml")).methods
-    for result in read_cells(folder / "benchmark" / "test"):
-        if result.cell.method in methods:
-            found.setdefault(f"{methods[result.cell.method].title} (this project)", []).append(result)
-    for version in sorted({each.simulation_version for results in found.values() for each in results}, reverse=True):
-        if valid := {name: results for name, results in found.items() if not any(violations(results, version))}:
-            return valid
-    return {}
-
-
-def _is_uniform(report: BenchmarkReport) -> bool:
-    """Returns whether all results are of test scenes, one version and the declared options."""
-    changed = any(entry.earlier or entry.other_options for entry in report.entries.values())
-    return report.scenes == "test" and not changed
+def entries(folder: Path) -> dict[str, list[ResultFile]]:
+    """Returns name -> result files of the leaderboard's entries; raises `DatasetError` if one is incomplete."""
+    found = {path.name: list(read_results(path).values()) for path in sorted((folder / "leaderboard").glob("*/"))}
+    for name, results in found.items():
+        if lacking := list(problems(results)):
+            raise DatasetError(
+                "Not an entry of the leaderboard.",
+                got=f"{name}: {'; '.join(lacking)}",
+                allowed="see docs/leaderboard.md",
+                hint="repeat the evaluation",
+            )
+    ours = [
+        one for one in read_results(folder / "benchmark" / "test").values() if one.run and one.run.method == "corrected"
+    ]
+    results = read_results(folder / "benchmark" / "test")
+    ours = [one for name, one in results.items() if re.fullmatch(rf"corrected-.*-{TRAINING_SEED}\.json", name)]
+    return {"dp3_adaptive (this project)": ours, **found} if ours and not any(problems(ours)) else found
 
 
 def documents(folder: Path) -> dict[Path, str]:
     """Returns document -> text."""
     results = read_results(folder)
-    shown = {name: result for name, result in results.items() if name in IN_README}
-    reports = list(benchmark_reports(folder))
-    by_scale = {report.scale: report for report in reports}
-    means = {by_scale[scale].scale: text for scale, text in MEANS.items() if scale in by_scale}
-    means = {scale: text for scale, text in means.items() if _is_uniform(by_scale[scale])}
-    tables = filter(None, (text(by_scale[scale]) for scale, text in means.items()))
-    note = _versions_note([*shown.values(), *chain(*(by_scale[scale].results for scale in means))])
-    readme = with_block(README.read_text(encoding="utf-8"), readme_block(shown, tables, note))
-    reports.sort(key=lambda report: (*SCALES, report.scale).index(report.scale))
-    pages = [benchmark_page(report, level=2) for report in reports]
-    numbers = csv_table(chain(csv_rows(results), *(report.csv_rows() for report in reports)))
-    board = leaderboard_page(entries(folder))
-    note = _versions_note([*results.values(), *chain(*(report.results for report in reports))])
-    page = results_page(results, [PICTURES, *pages] if pages else [], note)
-    notes = {
-        path: _with_table(path, table(by_scale[scale])) for path, (scale, table) in TABLES.items() if scale in by_scale
+    reports = sorted(benchmark_reports(folder), key=lambda report: (*SCALES, report.scale).index(report.scale))
+    lines = [line for name, result in results.items() for line in csv_lines(name, result)]
+    csv = csv_table([*lines, *(line for report in reports for line in report.csv_lines())])
+    return {
+        PAGE: results_page(results, reports),
+        PAGE.with_suffix(".csv"): csv,
+        README: with_block(README.read_text(encoding="utf-8"), readme_block(results, reports)),
+        BOARD: leaderboard_page(entries(folder)),
     }
-    return {PAGE: page, PAGE.with_suffix(".csv"): numbers, README: readme, BOARD: board, **notes}
 
 
-def _versions_note(results: Sequence[ResultFile | CellResult]) -> str:
+def csv_lines(name: str, result: ResultFile) -> Iterator[dict[str, object]]:
+    """Yields the labels and metrics of each row of a result file."""
+    for row in result.rows:
+        labels = {"subject": row.subject, "mechanism_rules": row.mechanism_rules}
+        made = {"result": name, "simulation_version": result.simulation_version}
+        yield {**made, **labels, "category": row.category, "objects": row.objects, **row.metrics.columns()}
+
+
+def results_page(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkReport]) -> str:
+    """Returns docs/results.md."""
+    reports = list(reports)
+    note = _versions_note([*results.values(), *(result for report in reports for result in report.results)])
+    parts = [INTRODUCTION, *([f"{note}\n"] if note else [])]
+    if reports:
+        parts += [PICTURES, *(benchmark_page(report, level=2) for report in reports), LEGEND]
+    if not results and not reports:
+        parts.append(f"{NOTHING}\n")
+    for name, result in results.items():
+        title = result.title[:1].upper() + result.title[1:]
+        parts.append(f"## {title}\n\n{success_table(result)}\n\n{_source(name, result)}\n")
+    return "\n".join(parts)
+
+
+def success_table(result: ResultFile) -> str:
+    """Returns success by subject, category and split of objects; adds means for subjects with several categories."""
+    splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in result.rows)]
+    subjects: dict[str, dict[str, dict[str, ResultRow]]] = {}
+    for row in result.rows:
+        subjects.setdefault(row.subject, {}).setdefault(row.category, {})[row.objects] = row
+    lines = []
+    for subject, categories in subjects.items():
+        for category, rows in categories.items():
+            counts = {objects: row.metrics.success for objects, row in rows.items()}
+            cells = [f"{counts[one].count}/{counts[one].episodes}" if one in counts else "-" for one in splits]
+            lines.append([subject, words(category), *cells])
+        if len(categories) > 1:
+            means = [_mean([rows.get(objects) for rows in categories.values()]) for objects in splits]
+            lines.append([subject, f"mean of {len(categories)}", *map(percent_text, means)])
+    return markdown_table([result.kind, "category", *(f"{split} objects" for split in splits)], lines)
+
+
+def _mean(rows: Iterable[ResultRow | None]) -> float | None:
+    rates = [None if row is None else row.metrics.success.rate for row in rows]
+    return None if None in rates else sum(rate or 0.0 for rate in rates) / len(rates)
+
+
+def _source(name: str, result: ResultFile) -> str:
+    commit = f"{f'commit {result.commit[:10]}' if result.commit else 'no commit'}{' with changes' * result.changed}"
+    duration = "" if result.seconds is None else f", {duration_text(result.seconds)}"
+    made = f"{commit}, version {result.version}, simulation version {result.simulation_version}"
+    scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
+    return f"`{result.command}`; {made}; {scenes}; {machine_text(result.machine)}{duration}. From `results/{name}`."
+
+
+def _scenes(result: ResultFile) -> str:
+    return "scenes of no split" if result.scenes is None else f"{result.scenes} scenes"
+
+
+def readme_block(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkReport]) -> str:
+    """Returns the README block with both markers: the files of `IN_README`, and the means of `MEANS`."""
+    shown = [result for name, result in results.items() if name in IN_README]
+    uniform = {report.scale: report for report in reports if _is_uniform(report)}
+    means = {scale: text(uniform[scale]) for scale, text in MEANS.items() if scale in uniform}
+    parts = [
+        f"{result.title} ({_scenes(result)}): {row.metrics.show('success')}\n"
+        for result in shown
+        for row in result.rows
+    ]
+    parts += [f"{table}\n" for table in means.values() if table]
+    note = _versions_note([*shown, *(result for scale in means for result in uniform[scale].results)])
+    sources = "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
+    return "\n".join([START, *parts, f"{note} {sources}".strip() if parts else NOTHING, END])
+
+
+def _is_uniform(report: BenchmarkReport) -> bool:
+    """Returns whether all results are of test scenes, one version and the declared options."""
+    return report.scenes == "test" and not any(entry.marks for entry in report.entries.values())
+
+
+def _versions_note(results: Iterable[ResultFile]) -> str:
     """Returns what a reader must know of the versions behind some results; empty if they are the present ones."""
-    mixed = mixed_versions(each.versions for each in results)
-    told = f"They were measured with different versions installed: {mixed}." if mixed else ""
-    return f"{earlier_version(each.simulation_version for each in results)} {told}".strip()
+    results = list(results)
+    mixed = mixed_versions(result.versions for result in results)
+    differing = f"They were measured with different versions installed: {mixed}." if mixed else ""
+    return f"{earlier_version(result.simulation_version for result in results)} {differing}".strip()
 
 
-def _with_table(path: Path, table: str) -> str:
-    return with_block(path.read_text(encoding="utf-8"), f"{START}\n{table}\n{END}")
+def with_block(document: str, block: str) -> str:
+    """Returns a document with its marked block replaced; raises ValueError unless it has exactly one block."""
+    before, start, rest = document.partition(START)
+    _, end, after = rest.partition(END)
+    if not start or not end or START in rest or END in after:
+        raise ValueError(f"not exactly one block {START} ... {END}")
+    return before + block + after
 
 
 def main() -> int:

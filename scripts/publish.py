@@ -12,28 +12,25 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from check_common import list_of
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, FOLDERS, MERGE, TRAIN, last_checkpoint
-from lerobot_adamanip.benchmark.result import CellResult, read_cell
+from lerobot_adamanip.benchmark.plan import COLLECT, FOLDERS, MERGE, TRAIN, last_checkpoint
 from lerobot_adamanip.cli.push import PushCommand
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.evaluation.provenance import Origin
-from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, write_result
+from lerobot_adamanip.evaluation.results import CellRun, read_result
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 
-def results_of(root: Path, method: str, category: str, seed: int) -> list[CellResult]:
-    """Returns the results of a policy, that on seen objects first; raises `DatasetError` without that one."""
+def result_paths(root: Path, method: str, category: str, seed: int) -> tuple[Path, ...]:
+    """Returns the result files of a policy, that on seen objects first; raises `DatasetError` without that one."""
     paths = [root / "cells" / f"{method}-{category}-{objects}-{seed}.json" for objects in OBJECT_SPLITS]
     if not paths[0].exists():
         raise DatasetError(
@@ -42,46 +39,28 @@ def results_of(root: Path, method: str, category: str, seed: int) -> list[CellRe
             allowed="a benchmark's folder with its cells, demonstrations and trainings",
             hint="adamanip benchmark --scale test, or --benchmark FOLDER",
         )
-    return [read_cell(path) for path in paths if path.exists()]
+    return tuple(path for path in paths if path.exists())
 
 
-def result_file(cell: CellResult) -> ResultFile:
-    """Returns a cell's result in the form that cards show."""
-    rules = cell.evaluation_options["--env.mechanism_rules"]
-    row = ResultRow(cell.title, rules, cell.cell.category, cell.cell.objects, cell.numbers)
-    return ResultFile(
-        **{each.name: getattr(cell, each.name) for each in fields(Origin)},
-        kind="policy",
-        title=f"benchmark, scale {cell.scale}, training seed {cell.cell.seed}",
-        command=cell.steps[EVALUATE].command,
-        simulation_version=cell.simulation_version,
-        machine=cell.costs[EVALUATE].machine,
-        scenes=cell.scenes,
-        seeds=cell.scene_seeds,
-        seconds=cell.costs[EVALUATE].seconds,
-        rows=(row,),
-    )
-
-
-def publications(options: argparse.Namespace, scratch: Path) -> Iterator[PushCommand]:
-    """Yields what is to be published; writes the results of the cards into ``scratch``."""
+def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
+    """Yields what is to be published."""
     shared = {"private": options.private, "dry_run": options.dry_run}
     for category in options.categories:
-        cells = results_of(options.benchmark, options.method, category, options.seed)
-        steps = {kind: [name for name in cells[0].steps if name.partition("_")[0] == kind] for kind in FOLDERS}
-        data, training = (steps[MERGE] or steps[COLLECT])[-1], steps[TRAIN][-1]
-        folders = {
-            name: options.benchmark / FOLDERS[name.partition("_")[0]] / cells[0].steps[name].key
-            for name in (data, training)
-        }
+        results = result_paths(options.benchmark, options.method, category, options.seed)
+        run = read_result(results[0]).run
+        assert run is not None  # files in `cells` are a benchmark's
+        data = _folder(options.benchmark, run, MERGE if MERGE in run.steps else COLLECT)
+        training = _folder(options.benchmark, run, TRAIN)
         dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in ("adamanip", options.name))
-        yield PushCommand("dataset", dataset, folders[data], **shared)
-        files = []
-        for cell in cells:
-            files.append(scratch / f"{cell.cell.name}.json")
-            write_result(files[-1], result_file(cell))
-        yield PushCommand("model", model, last_checkpoint(folders[training]), tuple(files), dataset=dataset, **shared)
+        yield PushCommand("dataset", dataset, data, **shared)
+        yield PushCommand("model", model, last_checkpoint(training), results, dataset=dataset, **shared)
     yield PushCommand("environment", f"{options.user}/adamanip", **shared)
+
+
+def _folder(root: Path, run: CellRun, kind: str) -> Path:
+    """Returns the product of the last step of a kind."""
+    *_, (name, _) = run.options_of(kind)
+    return root / FOLDERS[kind] / run.steps[name].key
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -99,14 +78,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     try:
-        with tempfile.TemporaryDirectory() as scratch:
-            for each in publications(options, Path(scratch)):
-                begin = time.perf_counter()
-                sizes, result, _ = each.publish()
-                seconds = round(time.perf_counter() - begin, 1)
-                sent, total = {} if result is None else asdict(result), sum(sizes.values())
-                rows.append({**sent, "kind": each.kind, "repo_id": each.repo_id, "bytes": total, "seconds": seconds})
-                sys.stderr.write(f"{each.repo_id}: {len(sizes)} files, {total / 1e6:.1f} MB, {seconds} s\n")
+        for push in publications(options):
+            begin = time.perf_counter()
+            sizes, result, _ = push.publish()
+            seconds = round(time.perf_counter() - begin, 1)
+            sent, total = {} if result is None else asdict(result), sum(sizes.values())
+            rows.append({**sent, "kind": push.kind, "repo_id": push.repo_id, "bytes": total, "seconds": seconds})
+            sys.stderr.write(f"{push.repo_id}: {len(sizes)} files, {total / 1e6:.1f} MB, {seconds} s\n")
     except AdaManipError as error:
         sys.stderr.write(f"error: {error}\n")
         return 2

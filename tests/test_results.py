@@ -5,8 +5,9 @@ from __future__ import annotations
 import csv
 import dataclasses
 import importlib.util
-import json
+import itertools
 import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,9 @@ import pytest
 from benchmark_helpers import FakeRunner, benchmark, run_all
 from records import record
 
-from lerobot_adamanip.benchmark.result import write_cell
+from lerobot_adamanip.benchmark.leaderboard import EPISODES, SEEDS, leaderboard_page, problems
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
-from lerobot_adamanip.evaluation.metric_values import Mean
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import (
@@ -24,61 +25,31 @@ from lerobot_adamanip.evaluation.results import (
     ResultRow,
     make_result,
     read_result,
+    read_results,
     rows_of_records,
     write_result,
 )
-from lerobot_adamanip.evaluation.results_page import (
-    END,
-    START,
-    csv_rows,
-    readme_block,
-    results_page,
-    success_table,
-    with_block,
-)
-from lerobot_adamanip.evaluation.tables import csv_table
+from lerobot_adamanip.evaluation.text_format import csv_table
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 ROOT = Path(__file__).resolve().parents[1]
+SPEC = importlib.util.spec_from_file_location("make_results", ROOT / "scripts" / "make_results.py")
+assert SPEC is not None
+assert SPEC.loader is not None
+make_results: Any = importlib.util.module_from_spec(SPEC)
+SPEC.loader.exec_module(make_results)
 
 
-def script() -> Any:
-    spec = importlib.util.spec_from_file_location("make_results", ROOT / "scripts" / "make_results.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def row(
-    subject: str,
-    category: str,
-    objects: str,
-    counts: tuple[int, int],
-    key_frames: float | None = None,
-    *,
-    mechanism_rules: str = "paper",
-    wasted: float | None = None,
-    repeated: tuple[int, int] | None = None,
-) -> ResultRow:
-    metrics = Metrics(
-        success=rate(*counts),
-        key_frames=None if key_frames is None else {key_frames: counts[0]},
-        wasted_tries=None if wasted is None else Mean(wasted * counts[0], counts[0]),
-        repeated=None if repeated is None else rate(*repeated),
-    )
-    return ResultRow(subject, mechanism_rules, category, objects, metrics)
+def row(subject: str, category: str, objects: str, *counts: int) -> ResultRow:
+    return ResultRow(subject, "paper", category, objects, Metrics(success=rate(*counts)))
 
 
 def result(**changes: Any) -> ResultFile:
     rows = [
-        row("adaptive", "safe", "seen", (19, 20), 14.6),
-        row("static", "safe", "seen", (20, 20), 10.25),
-        row("adaptive", "lamp", "seen", (9, 10), 6.3),
-        row("adaptive", "lamp", "novel", (8, 10), 6.0),
-    ]
-    made = make_result(
+        row("adaptive", "safe", "seen", 19, 20), row("static", "safe", "seen", 20, 20),
+        row("adaptive", "lamp", "seen", 9, 10), row("adaptive", "lamp", "novel", 8, 10),
+    ]  # fmt: skip
+    one = make_result(
         rows,
         kind="expert",
         title="scripted experts",
@@ -87,37 +58,43 @@ def result(**changes: Any) -> ResultFile:
         scenes=None,
         seconds=600.0,
     )
-    return dataclasses.replace(made, **changes)
+    return dataclasses.replace(one, **changes)
 
 
 def test_documents_are_what_the_script_writes() -> None:
-    module = script()
-    for path, text in module.documents(module.RESULTS).items():
+    for path, text in make_results.documents(make_results.RESULTS).items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python scripts/make_results.py"
 
 
+def test_archived_results_can_be_read() -> None:
+    """Results of earlier code are on no page, and lose no number."""
+    archived = [path for path in (ROOT / "results" / "archive").glob("*/") for path in read_results(path).values()]
+    assert {one.run.scale for one in archived if one.run} == {"cpu", "overfit"}
+    assert all(one.simulation_version < SIMULATION_VERSION for one in archived)
+
+
 def test_documents_say_which_versions_were_mixed_or_are_not_the_present_ones(tmp_path: Path) -> None:
-    module = script()
     old = {"simulation_version": SIMULATION_VERSION - 1}
-    for changes, told in (
+    for changes, line in (
         ([{}, {}], ""),
         ([old, old], "Measured with simulation version 2; the present one is 3."),
         ([{}, old], "Measured with simulation versions 2 and 3; the present one is 3."),
         (
-            [{"versions": {"torch": each}} for each in ("2.10.0", "2.11.0")],
+            [{"versions": {"torch": version}} for version in ("2.10.0", "2.11.0")],
             "They were measured with different versions installed: torch 2.10.0 and 2.11.0.",
         ),
     ):
-        for name, change in zip(("demo", "other"), changes, strict=True):
-            write_result(tmp_path / f"{name}.json", result(**change))
-        page = module.documents(tmp_path)[module.PAGE]
-        assert [line for line in page.splitlines() if line.startswith(("Measured", "They"))] == [told][: len(told)]
-        note = "Measured with simulation version" in module.documents(tmp_path)[module.README]
-        assert note == ("simulation" in told and changes[0] == old)
+        for name, values in zip(("demo", "other"), changes, strict=True):
+            write_result(tmp_path / f"{name}.json", result(**values))  # type: ignore[arg-type]
+        documents = make_results.documents(tmp_path)
+        page = documents[make_results.PAGE].splitlines()
+        assert [each for each in page if each.startswith(("Measured", "They were"))] == [line][: len(line)]
+        note = "Measured with simulation version" in documents[make_results.README]
+        assert note == ("simulation" in line and changes[0] == old)
 
 
-def test_a_table_says_what_it_was_measured_with() -> None:
-    page = results_page({"experts.json": result()})
+def test_a_table_says_what_it_was_measured_with_and_ends_with_means_over_categories_that_all_have() -> None:
+    page = make_results.results_page({"experts.json": result()}, [])
     for text in (
         "`python scripts/check_experts.py --category all`",
         f"simulation version {SIMULATION_VERSION}",
@@ -128,115 +105,88 @@ def test_a_table_says_what_it_was_measured_with() -> None:
         "version ",
     ):
         assert text in page
-    assert "| adaptive | lamp | 9/10: 90 % [59.6, 98.2] | 8/10: 80 % [49.0, 94.3] |" in page
-    assert "| static | safe | 20/20: 100 % [83.9, 100.0] | - |" in page
-    assert "| adaptive | lamp | 6.2 |" in page, "key frames of successes on both kinds of objects"
+    lines = make_results.success_table(result()).splitlines()
+    assert lines[0] == "| expert | category | seen objects | novel objects |"
+    assert lines[2:] == [
+        "| adaptive | safe | 19/20 | - |",
+        "| adaptive | lamp | 9/10 | 8/10 |",
+        "| adaptive | mean of 2 | 92.5 % | - |",
+        "| static | safe | 20/20 | - |",
+    ]
 
 
-def test_a_table_of_policies_has_intervals_and_hidden_values() -> None:
+def test_an_evaluation_is_a_row_in_the_readme_and_a_line_of_all_metrics() -> None:
     records = [record(seed=k, locked=k % 2 == 0, success=k % 4 != 0) for k in range(20)]
     rows = rows_of_records([*records, records[0]], "dp3_adaptive")
-    assert [(each.objects, each.metrics.success) for each in rows] == [("seen", rate(15, 20))]
-    measured = {"p.json": result(kind="policy", rows=tuple(rows), scenes="test")}
-    told = "| dp3_adaptive | safe | 15/20: 75 % [53.1, 88.8] |"
-    page = results_page(measured)
-    assert f"{told}\n" in page
-    assert "| dp3_adaptive | safe | 12.0 | -0.50 | 0/0 | ajar 5 |" in page
-    assert "(test scenes): 15/20: 75 % [53.1, 88.8]\n" in readme_block(measured)
-    another = row("dp3_adaptive", "lamp", "seen", (9, 10))
-    block = readme_block({"p.json": result(kind="policy", rows=(*rows, another), scenes="test")})
-    assert told in block
-    assert "wasted tries" not in block
-    (line,) = csv.DictReader(csv_table(csv_rows(measured)).splitlines())
-    assert (line["subject"], line["successes"], line["episodes"]) == ("dp3_adaptive", "15", "20")
+    measured = result(kind="policy", rows=tuple(rows), scenes="test")
+    block = make_results.readme_block({"demo.json": measured, "other.json": result()}, [])
+    assert "scripted experts (test scenes): 15/20: 75 % [53.1, 88.8]\n" in block
+    assert "scenes of no split" not in block, "other files are on the page alone"
+    (line,) = csv.DictReader(csv_table(list(make_results.csv_lines("p.json", measured))).splitlines())
+    assert (line["subject"], line["successes"], line["low"], line["high"]) == ("dp3_adaptive", "15", "0.5313", "0.8881")
     assert line["hidden"] == "direction +1 15/20, locked 5/10, unlocked 10/10"
+    assert (line["wasted_tries"], line["failures"]) == ("-0.50", "ajar 5")
 
 
-def test_a_table_of_policies_ends_with_the_mean_of_categories_where_all_of_them_were_measured() -> None:
-    rows = [
-        row("ours", "safe", "seen", (9, 10)),
-        row("ours", "safe", "unseen", (10, 20)),
-        row("ours", "lamp", "seen", (20, 20)),
-        row("other", "safe", "seen", (2, 10)),
-    ]
-    lines = success_table(result(kind="policy", rows=tuple(rows))).splitlines()
-    assert lines[0] == "| policy | category | seen objects | unseen objects |"
-    assert lines[4] == "| ours | mean of 2 | 95.0 % | - |", "of unseen objects one category alone was measured"
-    assert lines[5].startswith("| other | safe | 2/10")
-    assert len(lines) == 6
-
-
-def test_a_result_comes_back_as_it_was(tmp_path: Path) -> None:
+def test_a_result_comes_back_as_it_was_and_holds_no_path_of_this_machine(tmp_path: Path) -> None:
     one = result()
     write_result(tmp_path / "results" / "one.json", one)
     assert read_result(tmp_path / "results" / "one.json") == one
     assert re.fullmatch(r"[0-9a-f]{40}", one.commit or "0" * 40)
-    assert set(one.machine) == {"cores", "gpu"}
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {"simulation_version": "new"}, {"command": "a\nb"}, {"command": "lerobot-eval --x=/home/me/model"},
-        {"rows": []}, {"kind": "guess"}, {"schema": 2}, {"host": "machine"}, {"seeds": [1]}, {"scenes": "holdout"},
-        {"machine": {"cores": 2, "gpu": False, "name": "x"}}, {"title": "a | b"}, {"seconds": -1}, {"commit": "main"},
-    ],
-    ids=str,
-)  # fmt: skip
-def test_a_result_file_that_cannot_be_is_refused(changes: dict[str, Any], tmp_path: Path) -> None:
-    content = {**json.loads(json.dumps(result().to_json())), **changes}
-    path = tmp_path / "one.json"
-    path.write_text(json.dumps(content))
-    with pytest.raises(DatasetError, match="Not a result file"):
-        read_result(path)
-
-
-def test_a_command_with_a_path_of_this_machine_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="must run elsewhere"):
-        make_result(
-            [],
-            kind="policy",
-            title="x",
-            command=f"lerobot-eval --policy.path={tmp_path}/x",
-            seeds=[1],
-            scenes="test",
-        )
+        make_result([], kind="policy", title="x", command=f"eval --path={tmp_path}/x", seeds=[1], scenes="test")
 
 
 def test_a_document_has_one_block() -> None:
-    assert with_block(f"a\n{START}\nold\n{END}\nb\n", f"{START}\nnew\n{END}") == f"a\n{START}\nnew\n{END}\nb\n"
-    for document in ("nothing", f"{START} no end", f"{START}{END}{START}{END}"):
+    start, end, with_block = make_results.START, make_results.END, make_results.with_block
+    assert with_block(f"a\n{start}\nold\n{end}\nb\n", f"{start}\nnew\n{end}") == f"a\n{start}\nnew\n{end}\nb\n"
+    for document in ("nothing", f"{start} no end", f"{start}{end}{start}{end}"):
         with pytest.raises(ValueError, match="exactly one block"):
             with_block(document, "x")
 
 
-def test_the_readme_leaves_to_the_page_what_is_no_result_of_the_papers_rules() -> None:
-    """Other rules, scenes that policies are chosen by, and experts once a policy was measured."""
-    hard = result(rows=(row("adaptive", "lamp", "seen", (7, 20), 6.3, mechanism_rules="hard"),))
-    chosen_by, policy = ({"one.json": result(kind="policy", scenes=scenes)} for scenes in ("validation", "test"))
-    for other in (hard, chosen_by["one.json"]):
-        page = results_page({"one.json": other})
-        assert other.rows[0].metrics.show("success").partition(":")[0] in page
-    assert readme_block({"one.json": hard}) == readme_block({})
-    assert "(validation scenes" in readme_block(chosen_by)
-    assert readme_block({"two.json": chosen_by["one.json"], **policy}) == readme_block(policy)
-    experts = {"experts.json": result()}
-    assert "novel objects" in readme_block(experts)
-    assert readme_block({**experts, **policy}) == readme_block(policy)
-
-
 def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> None:
-    module, folder = script(), tmp_path / "benchmark" / "cpu"
-    alone = module.documents(tmp_path)[module.PAGE]
-    assert "Benchmark" not in alone
-    folder.mkdir(parents=True)
-    run = benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake"))
-    for state in run_all(run):
-        assert state.result is not None
-        named = dataclasses.replace(state.cell, method="dp3_adaptive")
-        write_cell(folder / f"{named.name}.json", dataclasses.replace(state.result, cell=named, scale="cpu"))
-    page = module.documents(tmp_path)[module.PAGE]
-    assert "\n## Benchmark, scale cpu\n" not in alone
+    assert "Benchmark" not in make_results.documents(tmp_path)[make_results.PAGE]
+    run_all(benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake")))
+    shutil.copytree(tmp_path / "out" / "cells", tmp_path / "benchmark" / "cpu")
+    page = make_results.documents(tmp_path)[make_results.PAGE]
     assert "\n## Benchmark, scale cpu\n" in page
-    assert re.search(r"^\| dp3_adaptive \(anchors\), seen \| [\d.]+ ‡ \|", page, re.MULTILINE), "of other options"
+    assert re.search(r"^\| Ours, seen \| [\d.]+/[\d.]+ \|", page, re.MULTILINE)
     assert "| method, objects | safe |\n" in page, "a category without a result is left out"
+
+
+def test_the_leaderboard_takes_whole_entries_of_known_origin_best_first(tmp_path: Path) -> None:
+    run_all(benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake")))
+    cell = read_result(tmp_path / "out" / "cells" / "ours-safe-seen-1000.json")
+
+    def entry(success: int, **changes: Any) -> list[ResultFile]:
+        metrics = Metrics(success=rate(success, EPISODES), within_best_tries=rate(success // 2, EPISODES))
+        rows = [ResultRow("Ours", "paper", *place, metrics) for place in itertools.product(CATEGORIES, SPLITS)]
+        return [dataclasses.replace(cell, **{"rows": (one,), "seeds": SEEDS, **changes}) for one in rows]
+
+    page = leaderboard_page({"weak": entry(40), "strong": entry(80)})
+    lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    assert [line[0].strip("| ") for line in lines[-2:]] == ["strong", "weak"]
+    assert lines[-2][1:5] == ["40.0 %", "80.0 %", "80.0 %", "80.0 %"]
+    assert "No entry yet." in leaderboard_page({})
+    assert list(problems(entry(40))) == []
+    assert list(problems(entry(40)[1:])) == ["not one result of each category and split of objects"]
+    broken: list[tuple[dict[str, Any], str]] = [
+        ({"changed": True}, "from none"),
+        ({"commit": None}, "from none"),
+        ({"scenes": "validation"}, "validation scenes"),
+        ({"seeds": (1, 100)}, "scenes from 1, not 100"),
+        ({"run": None}, "not a benchmark's result"),
+    ]
+    for changes, text in broken:
+        found = list(problems(entry(40, **changes)))
+        assert len(found) == len(CATEGORIES) * len(SPLITS)
+        assert all(text in each for each in found)
+    mixed = [*entry(40)[1:], entry(40, simulation_version=1)[0]]
+    assert list(problems(mixed)) == [f"simulation versions 1 and {SIMULATION_VERSION}"]
+    write_result(tmp_path / "leaderboard" / "theirs" / "one.json", cell)
+    with pytest.raises(DatasetError, match="Not an entry"):
+        make_results.documents(tmp_path)
+
+
+SPLITS = ("seen", "unseen", "novel")

@@ -10,15 +10,13 @@ from pathlib import Path
 from PIL import Image
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
+from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.report import make_report
-from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.evaluation.results import read_results
 
 SHOWN: Mapping[str, tuple[str, str, str]] = {
-    "methods": ("success", "paper_table.toml", "cpu"),
     "paper": ("success", "paper_table.toml", "paper"),
     "paper_losses": ("losses", "paper_table.toml", "paper"),
-    "trials": ("trials", "paper_table.toml", "cpu"),
     "success": ("success", "default_policy.toml", "test"),
     "tries": ("tries", "default_policy.toml", "test"),
 }
@@ -29,9 +27,9 @@ WIDTH = 1500
 def main(here: Path) -> None:
     """Writes the pictures into a folder."""
     for name, (plot, declared, scale) in SHOWN.items():
-        results = read_cells(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
+        results = read_results(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
         declaration = read_declaration(PAPER_TABLE.with_name(declared))
-        report = make_report(results, declaration, scale)
+        report = make_report(results.values(), declaration, scale)
         with tempfile.TemporaryDirectory() as folder:
             pictures = {path.stem: path for path in plot_report(report, Path(folder))}
             picture = Image.open(pictures[plot]).convert("RGB")

@@ -155,7 +155,7 @@ class AdaManipEnvConfig(EnvConfig):
             ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.
             SimulatorError: images are requested, but this machine cannot render.
         """
-        from lerobot_adamanip.evaluation.log import new_run_id
+        from lerobot_adamanip.evaluation.record import new_run_id
         from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
         from lerobot_env_adamanip.policy_check import require_fitting_policy
         from lerobot_env_adamanip.vector import make_vector_env

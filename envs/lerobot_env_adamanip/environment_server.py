@@ -12,7 +12,7 @@ import numpy as np
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
-from lerobot_adamanip.evaluation.log import new_run_id
+from lerobot_adamanip.evaluation.record import new_run_id
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud
 

@@ -23,8 +23,7 @@ from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
-from lerobot_adamanip.evaluation.log import append_record, new_run_id
-from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance
+from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
 from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice

@@ -1,10 +1,14 @@
-"""Declaration of a benchmark: methods, their demonstrations, and scales. Read from TOML, with every field checked."""
+"""Declaration of a benchmark: methods, their demonstrations, and scales. Read from TOML, with every field checked.
+
+Installed packages can add methods to it, by an entry point.
+"""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -13,6 +17,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.collection_spec import LIMITS
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, IMAGE_SIZES, POSES
+from lerobot_adamanip.evaluation.results import NAME
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
@@ -23,7 +28,6 @@ from lerobot_adamanip.util.json_fields import (
     listing,
     mapping,
     number,
-    optional,
     record,
     text,
 )
@@ -31,7 +35,8 @@ from lerobot_adamanip.util.json_fields import (
 PAPER_TABLE = Path(__file__).with_name("paper_table.toml")
 """Default declaration."""
 OBJECT_SPLITS = ("seen", "unseen", "novel")
-NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
+METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
+"""Entry point group for methods of other packages; each one loads the content of a table ``[methods.NAME]``."""
 _OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _, or an empty text")
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
 _COUNT = integer(1, 10**8)
@@ -166,25 +171,6 @@ class Scale:
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrialsCurve:
-    """A method's success against the number of failed trials in its demonstrations (the paper's second table).
-
-    Attributes:
-        method: name of the method.
-        numbers: numbers of failed trials.
-        none: set of demonstrations for zero failed trials.
-        categories, splits, scales: extent of the curve.
-    """
-
-    method: Annotated[str, NAME]
-    numbers: Annotated[tuple[int, ...], listing(integer(0, LIMITS["trials"][1]), 1, 30)]
-    none: Annotated[str, NAME]
-    categories: Annotated[tuple[str, ...], _CATEGORIES]
-    splits: Annotated[tuple[str, ...], _SPLITS]
-    scales: Annotated[tuple[str, ...], listing(NAME, 1, 20)]
-
-
-@dataclass(frozen=True, kw_only=True)
 class Effect:
     """A change: two methods, with it and without it, compared in the same scenes of some categories (none: all)."""
 
@@ -202,14 +188,12 @@ class Declaration:
         reference: method that all others are compared with.
         effects: changes whose effect the report shows.
         scales, demonstrations, methods: by name, in the order of the declaration.
-        trials: the trials curve; None without one.
     """
 
     reference: Annotated[str, NAME]
     scales: Annotated[Mapping[str, Scale], mapping(NAME, record(Scale), 20)]
     demonstrations: Annotated[Mapping[str, Demonstrations], mapping(NAME, record(Demonstrations), 60)]
     methods: Annotated[Mapping[str, Method], mapping(NAME, record(Method), 200)]
-    trials: Annotated[TrialsCurve | None, optional(record(TrialsCurve))] = None
     effects: Annotated[tuple[Effect, ...], listing(record(Effect), 0, 40)] = ()
 
     def scale(self, name: str) -> Scale:
@@ -241,53 +225,70 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     """
     if isinstance(methods := content.get("methods"), Mapping):
         content = {**content, "methods": _with_defaults(methods)}
-    made = record(Declaration)("the declaration", content)
-    _require("reference", made.reference, made.methods)
-    for name, method in made.methods.items():
-        check_method(made, name, method)
-    for each in made.effects:
-        _require("effects.method", each.method, made.methods)
-        _require("effects.without", each.without, made.methods)
-    if (curve := made.trials) is not None:
-        _require("trials.method", curve.method, made.methods)
-        _require("trials.none", curve.none, made.demonstrations)
-        learnt = made.methods[curve.method].demonstrations
-        _require(f"methods.{curve.method}.demonstrations", learnt, made.demonstrations)
-        for scale in curve.scales:
-            _require("trials.scales", scale, made.scales)
-    return made
+    declaration = record(Declaration)("the declaration", content)
+    _require("reference", declaration.reference, declaration.methods)
+    for name, method in declaration.methods.items():
+        _check_method(declaration, name, method)
+    for effect in declaration.effects:
+        _require("effects.method", effect.method, declaration.methods)
+        _require("effects.without", effect.without, declaration.methods)
+    return declaration
 
 
 def _with_defaults(methods: Mapping[str, Any]) -> dict[str, Any]:
     """Returns the tables of methods with the fields of those that they are ``like``."""
-    found: dict[str, Any] = {}
+    merged: dict[str, Any] = {}
     for name, own in methods.items():
-        found[name] = own
+        merged[name] = own
         if isinstance(own, Mapping) and "like" in own:
-            _require(f"methods.{name}.like", own["like"], [other for other in found if other != name])
-            merged = {**found[own["like"]], "paper": "", **own}
+            _require(f"methods.{name}.like", own["like"], [other for other in merged if other != name])
+            fields = {**merged[own["like"]], "paper": "", **own}
             left_out = {"like"} if "title" in own else {"like", "title"}
-            found[name] = {key: value for key, value in merged.items() if key not in left_out}
-    return found
+            merged[name] = {key: value for key, value in fields.items() if key not in left_out}
+    return merged
 
 
-def check_method(made: Declaration, name: str, method: Method) -> None:
+def _check_method(declaration: Declaration, name: str, method: Method) -> None:
     """Raises ValueError if a method names what the declaration lacks, or contradicts itself."""
-    _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *made.demonstrations))
+    _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *declaration.demonstrations))
     if bool(method.policy) == bool(method.expert) or (method.expert and (method.demonstrations or method.data_of)):
         raise ValueError(f"methods.{name} needs a policy, or an expert without demonstrations")
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
-    with_data = [other for other, each in made.methods.items() if each.demonstrations]
+    with_data = [other for other, one in declaration.methods.items() if one.demonstrations]
     _require(f"methods.{name}.data_of", method.data_of, ("", *with_data))
     if method.data_of and method.demonstrations:
         raise ValueError(f"methods.{name} has data_of another method and demonstrations of its own")
     for field_name in ("steps", "scales"):
         for scale in getattr(method, field_name):
-            _require(f"methods.{name}.{field_name}", scale, made.scales)
+            _require(f"methods.{name}.{field_name}", scale, declaration.scales)
     for where in method.train_at:
-        _require(f"methods.{name}.train_at", where, (*made.scales, *CATEGORIES))
+        _require(f"methods.{name}.train_at", where, (*declaration.scales, *CATEGORIES))
 
 
-def _require(name: str, got: str, names: Iterable[str]) -> None:
-    choice(tuple(names))(name, got)
+def _require(name: str, value: str, names: Iterable[str]) -> None:
+    choice(tuple(names))(name, value)
+
+
+def with_packages(declaration: Declaration) -> Declaration:
+    """Returns a declaration with the methods of installed packages added; raises `ConfigurationError`."""
+    points = sorted(entry_points(group=METHODS_GROUP))
+    added = {point.name: _load_method(point, declaration) for point in points}
+    return replace(declaration, methods={**declaration.methods, **added})
+
+
+def _load_method(point: EntryPoint, declaration: Declaration) -> Method:
+    package = point.dist.name if point.dist is not None else point.module
+    try:
+        if point.name in declaration.methods:
+            raise ValueError("the declaration has a method of that name")
+        method = record(Method)(point.name, point.load())
+        _check_method(declaration, point.name, method)
+    except Exception as error:  # importing another package may raise any exception
+        raise ConfigurationError(
+            f"The benchmark method {point.name!r} cannot be used.",
+            got=f"{point.value} of {package}: {error}",
+            allowed="a table like [methods.NAME], see docs/extending_policy.md",
+            hint=f"repair {package}, or uninstall it",
+        ) from error
+    return replace(method, package=package)

@@ -10,9 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.plan import EPISODE_LOG, EVALUATE, FOLDERS, TRAIN, Step, last_checkpoint
-from lerobot_adamanip.benchmark.result import StepCost
+from lerobot_adamanip.benchmark.plan import EPISODE_LOG, FOLDERS, TRAIN, Cell, Step, last_checkpoint
+from lerobot_adamanip.evaluation.results import EVALUATE, StepCost
 from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -67,8 +66,8 @@ class BenchmarkFolder:
     def is_done(self, step: Step) -> bool:
         """Returns whether a step is done and its product still exists."""
         product = self.product(step)
-        made = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
-        return self.cost(step) is not None and made.get(step.kind, product / "meta" / "info.json").exists()
+        products = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
+        return self.cost(step) is not None and products.get(step.kind, product / "meta" / "info.json").exists()
 
     def is_begun(self, step: Step) -> bool:
         """Returns whether a step was started; it may be done."""
@@ -96,9 +95,9 @@ class BenchmarkFolder:
         if not path.exists():
             return {}
         try:
-            found: StepCost | dict[str, int] = _NOTE("the note", json_fields.read(path))
+            note: StepCost | dict[str, int] = _NOTE("the note", json_fields.read(path))
         except ValueError as error:
             raise DatasetError(
                 "A step record is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
             ) from error
-        return found
+        return note

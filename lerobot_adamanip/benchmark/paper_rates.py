@@ -42,10 +42,6 @@ SUCCESS: dict[str, tuple[tuple[float, float], ...]] = {
 Different Methods". The paper does not say what the deviations measure, nor in which scenes."""
 PAPER_OBJECTS = "seen"
 """Split of objects to compare the paper's rates with: the released code tests on its training objects."""
-TRIALS_CATEGORY = "bottle"
-SUCCESS_BY_TRIALS = (87.14, 93.64, 75.71, 65.71, 57.14, 41.43, 44.28)
-"""Success [%] after 0, 1, ... 6 repeated trials in the demonstrations, from the table "Effects of Repeated Adaptive
-Trials in Adaptive Demonstration for Bottle". Its value at 1 differs from the bottle's in the other table."""
 
 
 def reported(method: str | None, category: str) -> tuple[float, float] | None:
@@ -57,5 +53,5 @@ def reported(method: str | None, category: str) -> tuple[float, float] | None:
 
 def reported_mean(method: str | None, categories: Collection[str]) -> float | None:
     """Returns a method's mean success over some categories [%]; None if the paper does not have the method."""
-    found = [value for category in categories if (value := reported(method, category)) is not None]
-    return sum(success for success, _ in found) / len(found) if found else None
+    values = [value for category in categories if (value := reported(method, category)) is not None]
+    return sum(success for success, _ in values) / len(values) if values else None

@@ -1,7 +1,8 @@
-"""Plan of a cell: its commands, and the cache keys by which cells share products. Pure functions.
+"""Plan of a benchmark: its cells, their commands, and the cache keys by which they share products. Pure functions.
 
-A key hashes a step's command, the keys of what it reads, and the versions that decide its result. Equal keys run once.
-Installed versions of other packages are not in it: a report says where they differ.
+A cell is one training of a method, evaluated on one split of objects of one category. A key hashes a step's command,
+the keys of what it reads, and the versions that decide its result. Equal keys run once. Installed versions of other
+packages are not in it: a report says where they differ.
 """
 
 from __future__ import annotations
@@ -9,19 +10,19 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from lerobot_adamanip.benchmark.cells import Cell
-from lerobot_adamanip.benchmark.command_options import expert_command, with_options
-from lerobot_adamanip.benchmark.declaration import Declaration, Demonstrations, Method, Scale
-from lerobot_adamanip.benchmark.training_log import LOGGED
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Demonstrations, Method, Scale
 from lerobot_adamanip.catalog import parse_object_selection
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.versions import DATA, DATA_VERSION, SIMULATION, SIMULATION_VERSION
-from lerobot_adamanip.evaluation.results import check_command
+from lerobot_adamanip.evaluation.results import EVALUATE, LOGGED, ResultFile, check_command, command_options
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
-COLLECT, CORRECT, MERGE, TRAIN, EVALUATE = "collect", "correct", "merge", "train", "evaluate"
+COLLECT, CORRECT, MERGE, TRAIN = "collect", "correct", "merge", "train"
 FOLDERS: Mapping[str, str] = {
     **dict.fromkeys((COLLECT, CORRECT, MERGE), "demonstrations"),
     TRAIN: "trainings",
@@ -36,6 +37,108 @@ _ATTEMPTS = 25
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _LENGTH = 16
+_TYPE, _PREFIX = "--env.type", "adamanip_"
+_EXPERT_OPTIONS = {
+    _TYPE: "--category",
+    "--seed": "--seed",
+    "--eval.n_episodes": "--episodes",
+    **{
+        f"--env.{name}": f"--{name.replace('_', '-')}"
+        for name in (
+            "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log"
+        )
+    },
+}  # fmt: skip
+"""Option of `lerobot-eval` -> option of `adamanip expert`, which has no others of an environment."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cell:
+    """One result of a benchmark.
+
+    Attributes:
+        method: name of the method.
+        category: category of the objects.
+        objects: split of the evaluated objects.
+        seed: training seed.
+    """
+
+    method: str
+    category: str
+    objects: str
+    seed: int
+
+    @property
+    def name(self) -> str:
+        """A file name: ``dp3_adaptive-safe-seen-1000``."""
+        return f"{self.method}-{self.category}-{self.objects}-{self.seed}"
+
+
+def cell_of(result: ResultFile) -> Cell:
+    """Returns the cell of a benchmark's result; raises ValueError for another result."""
+    if result.run is None:
+        raise ValueError("not a result of a benchmark")
+    row = result.rows[0]
+    return Cell(method=result.run.method, category=row.category, objects=row.objects, seed=result.run.seed)
+
+
+def all_cells(declaration: Declaration, scale: str) -> list[Cell]:
+    """Returns the cells of a scale, category by category, so that an interrupted run has complete categories.
+
+    A method without training has one cell, of the first seed.
+    """
+    chosen = declaration.scale(scale)
+    return [
+        Cell(method=name, category=category, objects=objects, seed=seed)
+        for seed in chosen.seeds
+        for category in chosen.categories
+        for name, method in declaration.methods_of(scale).items()
+        for objects in chosen.splits
+        if method.is_trained or seed == chosen.seeds[0]
+    ]
+
+
+def select_cells(
+    declaration: Declaration,
+    scale: str,
+    *,
+    methods: tuple[str, ...] = (),
+    categories: tuple[str, ...] = (),
+    splits: tuple[str, ...] = (),
+    seeds: tuple[int, ...] = (),
+) -> list[Cell]:
+    """Returns the selected cells of a scale; an empty filter selects all.
+
+    Raises:
+        ConfigurationError: a name is unknown, or the scale has no matching cell.
+    """
+    for what, names, known in (
+        ("method", methods, tuple(declaration.methods)),
+        ("category", categories, tuple(CATEGORIES)),
+        ("split of objects", splits, OBJECT_SPLITS),
+    ):
+        for name in names:
+            require_choice(what, name, known)
+    filters = {"method": methods, "category": categories, "objects": splits, "seed": seeds}
+    cells = [
+        cell
+        for cell in all_cells(declaration, scale)
+        if all(getattr(cell, name) in values for name, values in filters.items() if values)
+    ]
+    if not cells:
+        chosen = declaration.scale(scale)
+        possible = {"categories": chosen.categories, "splits": chosen.splits, "seeds": chosen.seeds}
+        raise ConfigurationError(
+            f"The scale {scale!r} has no such cells.",
+            got=_listed(filters),
+            allowed=_listed(possible),
+            hint="adamanip benchmark --list; or use your own declaration with --config FILE",
+        )
+    return cells
+
+
+def _listed(names: Mapping[str, Iterable[object]]) -> str:
+    return "; ".join(f"{what} {', '.join(map(str, values))}" for what, values in names.items() if values)
 
 
 def last_checkpoint(folder: Path | str) -> Path:
@@ -97,11 +200,11 @@ class Step:
 
 def named_steps(last: Step) -> dict[str, Step]:
     """Returns name -> step of a chain, in order: ``collect``, ``train``; repeated kinds are ``train_2`` and so on."""
-    found: dict[str, Step] = {}
+    steps: dict[str, Step] = {}
     for step in last.chain():
-        before = sum(each.kind == step.kind for each in found.values())
-        found[f"{step.kind}_{before + 1}" if before else step.kind] = step
-    return found
+        before = sum(other.kind == step.kind for other in steps.values())
+        steps[f"{step.kind}_{before + 1}" if before else step.kind] = step
+    return steps
 
 
 def plan(cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVersions) -> Step:
@@ -111,11 +214,10 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVer
         ConfigurationError: an option contains a path of this machine, or the scale's objects do not exist.
     """
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
-    learnt, training = _demonstrations(cell, declaration), None
-    like = learnt or Demonstrations()
+    demonstrations = declaration.methods[method.data_of or cell.method].demonstrations
+    like = declaration.demonstrations[demonstrations] if demonstrations else Demonstrations()
     like = replace(like, poses=scale.poses or like.poses)
-    if learnt is not None:
-        _, training = _learning(cell, declaration, scale_name, versions, like=like)
+    training = _learning(cell, declaration, scale_name, versions, like=like)[1] if demonstrations else None
     return _evaluation(cell, method, scale, versions, like=like, training=training)
 
 
@@ -133,62 +235,52 @@ def _learning(
     method = replace(method, train=(*method.train, *overriding))
     if method.data_of:
         others = [replace(cell, method=method.data_of, category=category) for category in scale.categories]
-        data = _merge(tuple(_learning(each, declaration, scale_name, versions, like=like)[0] for each in others))
+        data = _merge(tuple(_learning(other, declaration, scale_name, versions, like=like)[0] for other in others))
     else:
         data = _collection(cell, like, scale, versions)
     training = _training(cell, method, scale, data, versions, steps=method.steps.get(scale_name, scale.steps))
-    for each in method.rounds:
-        corrected = _correction(cell, like, scale, versions, episodes=each.corrections, training=training)
+    for round_ in method.rounds:
+        corrected = _correction(cell, like, scale, versions, episodes=round_.corrections, training=training)
         data = _merge((data, corrected))
-        start = training if each.start == "trained" else None
-        training = _training(cell, method, scale, data, versions, steps=each.steps, start=start)
+        start = training if round_.start == "trained" else None
+        training = _training(cell, method, scale, data, versions, steps=round_.steps, start=start)
     return data, training
 
 
-def _demonstrations(cell: Cell, declaration: Declaration) -> Demonstrations | None:
-    method, curve = declaration.methods[cell.method], declaration.trials
-    name = declaration.methods[method.data_of or cell.method].demonstrations
-    if cell.trials == 0 and curve is not None:
-        return declaration.demonstrations[curve.none]
-    if not name:
-        return None
-    found = declaration.demonstrations[name]
-    return found if cell.trials is None else replace(found, trials=cell.trials)
-
-
-def _collection(cell: Cell, wanted: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
-    expert = (f"--expert={wanted.expert}", *_expert_options(wanted))
-    trials = (f"--trials={wanted.trials}",) if wanted.expert == "adaptive" else ()  # others would have unequal keys
-    how = (*expert, *trials, f"--late-starts={wanted.late_starts:g}")
+def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
+    expert = (f"--expert={data.expert}", *_expert_options(data))
+    trials = (f"--trials={data.trials}",) if data.expert == "adaptive" else ()  # others would have unequal keys
+    how = (*expert, *trials, f"--late-starts={data.late_starts:g}")
     shared_by = 1 if scale.demonstrations_per_object else _objects(cell, scale)
-    return _recording(COLLECT, cell, wanted, scale, versions, each=math.ceil(scale.demonstrations / shared_by), how=how)
+    per_object = math.ceil(scale.demonstrations / shared_by)
+    return _recording(COLLECT, cell, data, scale, versions, per_object=per_object, how=how)
 
 
 def _correction(
-    cell: Cell, wanted: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
+    cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
 ) -> Step:
-    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(wanted))
-    each = math.ceil(episodes / _objects(cell, scale))
-    return _recording(CORRECT, cell, wanted, scale, versions, each=each, how=how, needs=(training,))
+    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data))
+    per_object = math.ceil(episodes / _objects(cell, scale))
+    return _recording(CORRECT, cell, data, scale, versions, per_object=per_object, how=how, needs=(training,))
 
 
 def _objects(cell: Cell, scale: Scale) -> int:
     return len(parse_object_selection(cell.category, scale.objects_of(cell.category)))
 
 
-def _expert_options(wanted: Demonstrations) -> tuple[str, ...]:
-    strategy = wanted.expert_strategy
+def _expert_options(data: Demonstrations) -> tuple[str, ...]:
+    strategy = data.expert_strategy
     return () if strategy == Demonstrations().expert_strategy else (f"--expert-strategy={strategy}",)
 
 
 def _recording(
     kind: str,
     cell: Cell,
-    wanted: Demonstrations,
+    data: Demonstrations,
     scale: Scale,
     versions: KeyVersions,
     *,
-    each: int,
+    per_object: int,
     how: tuple[str, ...],
     needs: tuple[Step, ...] = (),
 ) -> Step:
@@ -197,12 +289,12 @@ def _recording(
         "collect",
         f"--category={cell.category}",
         f"--objects={scale.objects_of(cell.category)}",
-        f"--episodes-per-object={each}",
+        f"--episodes-per-object={per_object}",
         *how,
-        f"--num-points={wanted.num_points}",
-        f"--image-size={wanted.image_size}" if wanted.image_size else "--no-images",
-        f"--poses={wanted.poses}",
-        f"--mechanism-rules={wanted.mechanism_rules}",
+        f"--num-points={data.num_points}",
+        f"--image-size={data.image_size}" if data.image_size else "--no-images",
+        f"--poses={data.poses}",
+        f"--mechanism-rules={data.mechanism_rules}",
         _COLLECTED,
     )
     # Attempts end with the first success, so a higher limit changes no dataset.
@@ -226,7 +318,7 @@ def _training(
     start: Step | None = None,
 ) -> Step:
     begin = f"--policy.type={method.policy}" if start is None else f"--policy.path={last_checkpoint(start.product)}"
-    command = with_options(
+    command = _command(
         "lerobot-train",
         begin,
         *method.options,
@@ -250,13 +342,13 @@ def _evaluation(
     cell: Cell, method: Method, scale: Scale, versions: KeyVersions, *, like: Demonstrations, training: Step | None
 ) -> Step:
     """Returns the evaluation of a policy, trained or not, or of an expert, in the scenes of demonstrations ``like``."""
-    made = (f"--policy.type={method.policy}", *method.options)
+    untrained = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
     product = f"{FOLDERS[EVALUATE]}/{_KEY}"
-    command = with_options(
+    command = _command(
         "lerobot-eval",
-        *(trained or made),
+        *(trained or untrained),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
         f"--env.objects={scale.objects_of(cell.category) if cell.objects == 'seen' else cell.objects}",
@@ -276,11 +368,32 @@ def _evaluation(
     # An untrained policy has no training key, so its versions enter here.
     decides = versions.episodes if training else f"{versions.episodes}, {versions.policy(cell.method)}"
     if method.expert:
-        return _step(EVALUATE, expert_command(method.expert, command[1:]), decides)
+        return _step(EVALUATE, _expert_command(method.expert, command[1:]), decides)
     # A policy that uses images was trained with them. For others, evaluation without images is equal and faster.
     named = any(word.startswith("--env.observe_images=") for word in command)
     observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
     return _step(EVALUATE, command, decides, observed, () if training is None else (training,))
+
+
+def _command(command: str, *options: str) -> list[str]:
+    """Returns a command with each option once; the last value of an option wins."""
+    return [command, *{option.partition("=")[0]: option for option in options}.values()]
+
+
+def _expert_command(expert: Iterable[str], evaluation: Iterable[str]) -> list[str]:
+    """Returns the command that evaluates an expert as ``evaluation``, options of `lerobot-eval`, does a policy."""
+    pairs = (option.partition("=") for option in evaluation)
+    options = {name: value.removeprefix(_PREFIX) for name, _, value in pairs if name in _EXPERT_OPTIONS}
+    return ["adamanip", "expert", *expert, *(f"{_EXPERT_OPTIONS[name]}={value}" for name, value in options.items())]
+
+
+def evaluation_options(command: str) -> dict[str, str]:
+    """Returns the options of an evaluation, also an expert's, by their names in `lerobot-eval`, name -> value."""
+    options = command_options(command)
+    if shlex.split(command)[:2] != ["adamanip", "expert"]:
+        return options
+    names = {name: options[own] for name, own in _EXPERT_OPTIONS.items() if own in options}
+    return {**names, _TYPE: f"{_PREFIX}{names[_TYPE]}"}
 
 
 def _step(

@@ -1,43 +1,44 @@
-"""Report of a benchmark: metrics of each method, pooled over trainings, and missing cells. Pure functions."""
+"""Report of a benchmark: metrics of each method, pooled over trainings, by category and objects. Pure functions."""
 
 from __future__ import annotations
 
-import itertools
+import statistics
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
-from lerobot_adamanip.benchmark.cells import Cell, all_cells
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect, Method
-from lerobot_adamanip.benchmark.plan import options_key
-from lerobot_adamanip.benchmark.result import OBSERVATION_OPTIONS, CellResult
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
+from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
 from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
-FEW_KEY_FRAMES = 15
-BUDGETS = (10, FEW_KEY_FRAMES, 25, MAX_KEY_FRAMES)
-"""Budget of key frames for the success that reports show."""
+KEY_FRAME_BUDGETS = (10, 15, 25)
+"""Numbers of key frames, for the columns of success within them in the CSV file."""
+OBSERVATION_OPTIONS = (
+    "--env.num_points", "--env.image_size", "--env.observe_images", "--env.episode_log"
+)  # fmt: skip
+"""Options of an evaluation's environment that do not change its scenes."""
+EARLIER, OTHER_OPTIONS = "†", "‡"
+MARKS = {
+    EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
+    OTHER_OPTIONS: "of other options than declared now",
+}
 
-type Place = tuple[str, int | None, str, str]
-"""Position of a number: method, trials (None in the table), category, split of objects."""
+type Place = tuple[str, str, str]
+"""Position of a number: method, category, split of objects."""
+type Share = Callable[[Metrics], Rate | None]
 
 
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """A method.
+def opened(metrics: Metrics) -> Rate | None:
+    """Returns the success rate."""
+    return metrics.success
 
-    Attributes:
-        name, title: as declared, or from the results of a method that is no longer declared.
-        paper: name in the paper; empty to hide the paper's numbers.
-        package: distribution that declares it; empty for the declaration itself.
-    """
 
-    name: str
-    title: str
-    paper: str = ""
-    package: str = ""
+def within(metrics: Metrics) -> Rate | None:
+    """Returns the share opened within the best strategy's tries."""
+    return metrics.within_best_tries
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,16 +46,14 @@ class Entry:
     """Pooled result of all trainings of a method, in one category and split of objects.
 
     Attributes:
-        numbers: metrics of all their episodes.
-        seeds: training seeds with results.
-        earlier: whether some results are of an earlier simulation or data version than others, or stale.
-        other_options: whether some results were made with other options than declared.
+        metrics: of all their episodes.
+        results: the results.
+        marks: `EARLIER` and `OTHER_OPTIONS`, if they apply to one of them.
     """
 
-    numbers: Metrics
-    seeds: tuple[int, ...]
-    earlier: bool
-    other_options: bool
+    metrics: Metrics
+    results: tuple[ResultFile, ...]
+    marks: str
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,73 +63,63 @@ class BenchmarkReport:
     Attributes:
         scale: name of the scale.
         note, beside_paper: see `Scale`.
-        reference, effects: see `Declaration`.
-        rows: methods, declared ones first.
+        titles: method -> title with the package that declares it; declared methods first, then others with results.
+        paper: method -> name in the paper; empty to hide the paper's numbers.
+        effects: declared comparisons, then those of the reference with each other method.
         categories, splits: in table order.
-        trials: numbers of failed trials in the curve, in order.
         entries: available numbers by position.
         missing: declared cells without a result.
         unavailable: method -> why it cannot run here; empty if not checked.
-        results: all results of the report.
+        results: all results of the report, with their `CellRun`.
     """
 
     scale: str
     note: str
     beside_paper: bool
-    reference: str
+    titles: Mapping[str, str]
+    paper: Mapping[str, str]
     effects: tuple[Effect, ...]
-    rows: tuple[Row, ...]
     categories: tuple[str, ...]
     splits: tuple[str, ...]
-    trials: tuple[int, ...]
     entries: Mapping[Place, Entry]
     missing: tuple[Cell, ...]
     unavailable: Mapping[str, str]
-    results: tuple[CellResult, ...]
-
-    def entry(self, method: str, category: str, objects: str, trials: int | None = None) -> Entry | None:
-        """Returns the entry at a position; None if there is none."""
-        return self.entries.get((method, trials, category, objects))
+    results: tuple[ResultFile, ...]
 
     @property
     def scenes(self) -> str:
         """Split of the scenes; several are joined by ``and``."""
-        return " and ".join(sorted({result.scenes for result in self.results}))
+        return " and ".join(sorted({str(result.scenes) for result in self.results}))
 
     @property
-    def rows_with_results(self) -> tuple[Row, ...]:
+    def methods(self) -> list[str]:
         """Methods that have results; tables and plots show them."""
-        there = {place[0] for place in self.entries if place[1] is None}
-        return tuple(row for row in self.rows if row.name in there)
+        return [name for name in self.titles if any(place[0] == name for place in self.entries)]
 
     @property
-    def curves(self) -> list[tuple[str, str, str]]:
-        """Method, category and split of objects of each trials curve."""
-        return sorted({(place[0], place[2], place[3]) for place in self.entries if place[1] is not None})
-
-    @property
-    def categories_with_results(self) -> tuple[str, ...]:
+    def categories_with_results(self) -> list[str]:
         """Categories with results."""
-        there = {place[2] for place in self.entries if place[1] is None}
-        return tuple(category for category in self.categories if category in there)
+        return [category for category in self.categories if any(place[1] == category for place in self.entries)]
 
-    def mean(
-        self, method: str, objects: str, share: Callable[[Metrics], Rate | None] = lambda numbers: numbers.success
-    ) -> float | None:
+    def of(self, method: str, objects: str) -> list[Entry]:
+        """Returns the available entries of a method, one a category."""
+        places = [(method, category, objects) for category in self.categories]
+        return [self.entries[place] for place in places if place in self.entries]
+
+    def mean(self, method: str, objects: str, share: Share = opened) -> float | None:
         """Returns the mean of a method's rates over the categories, equally weighted, each over all its trainings.
 
-        ``share`` takes metrics to a rate, by default the success. None if a category or its rate is missing.
+        None if a category or its rate is missing.
         """
-        found = self.numbers(method, self.categories, (objects,))
-        rates = [share(each) for each in found]
+        rates = [share(entry.metrics) for entry in self.of(method, objects)]
         if len(rates) < len(self.categories) or None in rates:
             return None
-        return sum(each.rate or 0.0 for each in rates if each is not None) / len(rates)
+        return sum(rate.rate or 0.0 for rate in rates if rate is not None) / len(rates)
 
     def trainings(self, method: str, objects: str) -> str:
         """Returns the number of trainings behind a mean: one number, or ``1 to 3``."""
-        entries = [self.entry(method, category, objects) for category in self.categories]
-        return least_to_most(len(each.seeds) for each in entries if each is not None)
+        numbers = sorted(len(entry.results) for entry in self.of(method, objects))
+        return " to ".join(map(str, dict.fromkeys((*numbers[:1], *numbers[-1:]))))
 
     def paired(
         self, methods: tuple[str, str], categories: Sequence[str], objects: str, min_outcome: str
@@ -140,21 +129,19 @@ class BenchmarkReport:
         Uses the trainings that both have in all of these categories, with objects of one split; None if there are none,
         or if their scenes differ. Outcomes: see `paired_difference`.
         """
-        table = [each for each in self.results if each.cell.objects == objects and each.cell.trials is None]
-        found = {(each.cell.method, each.cell.category, each.cell.seed): each for each in table if each.outcomes}
+        kept = {cell_of(result): result for result in self.results if result.rows[0].scene_outcomes}
         pairs = {}
-        for seed in sorted({seed for _, _, seed in found}):
-            both = [[found.get((name, each, seed)) for name in methods] for each in categories]
-            if all(one and other and self.scenes_of(one) == self.scenes_of(other) for one, other in both):
-                pairs[seed] = [(one.outcomes, other.outcomes) for one, other in both if one and other]
-        lengths = {len(first) for each in pairs.values() for first, _ in each}
+        for seed in sorted({cell.seed for cell in kept}):
+            cells = [
+                [Cell(method=name, category=category, objects=objects, seed=seed) for name in methods]
+                for category in categories
+            ]
+            both = [(kept.get(first), kept.get(second)) for first, second in cells]
+            if all(one and other and scenes_of(one) == scenes_of(other) for one, other in both):
+                rows = [(one.rows[0], other.rows[0]) for one, other in both if one and other]
+                pairs[seed] = [(one.scene_outcomes, other.scene_outcomes) for one, other in rows]
+        lengths = {len(first) for several in pairs.values() for first, _ in several}
         return paired_difference(pairs, min_outcome) if len(lengths) == 1 else None
-
-    def scenes_of(self, result: CellResult) -> tuple[object, ...]:
-        """Returns all that decides the scenes of a result."""
-        given = result.evaluation_options.items()
-        options = {each for each in given if each[0].startswith("--env.") and each[0] not in OBSERVATION_OPTIONS}
-        return result.simulation_version, result.scene_seeds, len(result.outcomes), frozenset(options)
 
     def opened_with(self, method: str, objects: str) -> list[float]:
         """Returns the share of scenes opened with at most 0, 1, ... `MAX_COUNTED_TRIES` - 1 failed tries.
@@ -162,38 +149,55 @@ class BenchmarkReport:
         The mean over the categories, equally weighted; empty if one is missing, or for results of earlier versions.
         """
         shares = []
-        for category in self.categories:
-            place = method, None, category, objects
-            results = [each for each in self.results if _place(each.cell) == place]
-            scenes = [pair for each in results for pair in zip(each.outcomes, each.failed_tries, strict=False)]
+        for entry in self.of(method, objects):
+            rows = [result.rows[0] for result in entry.results]
+            scenes = [pair for row in rows for pair in zip(row.scene_outcomes, row.scene_tries, strict=False)]
             tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
-            if not tries:
-                return []
-            shares.append([sum(each <= number for each in tries) / len(tries) for number in range(MAX_COUNTED_TRIES)])
+            if tries:
+                shares.append([sum(count <= most for count in tries) / len(tries) for most in range(MAX_COUNTED_TRIES)])
+        if len(shares) < len(self.categories):
+            return []
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
-    def numbers(self, method: str, categories: Iterable[str], splits: Iterable[str]) -> list[Metrics]:
-        """Returns the available metrics of a method in these categories and splits of objects."""
-        places = itertools.product(categories, splits)
-        return [found.numbers for place in places if (found := self.entry(method, *place)) is not None]
+    def runs_of(self, method: str) -> list[CellRun]:
+        """Returns how the results of a method were made."""
+        return [result.run for result in self.results if result.run is not None and result.run.method == method]
 
-    def csv_rows(self) -> Iterator[tuple[dict[str, object], Metrics]]:
-        """Yields labels and metrics of each entry, for `csv_table`."""
-        versions = {_place(result.cell): result.simulation_version for result in self.results}
-        for place, entry in self.entries.items():
-            labels = dict(zip(("subject", "trials", "category", "objects"), place, strict=True))
-            made = {"result": f"benchmark/{self.scale}", "simulation_version": versions[place]}
-            yield {**made, **labels, "trainings": len(entry.seeds)}, entry.numbers
+    def mean_losses(self, method: str) -> list[float]:
+        """Returns the loss in equal parts of a method's last training, as a share of its first value.
+
+        The geometric mean over the trainings of its cells; empty without a log.
+        """
+        logs = [log for log in last_trainings(self.runs_of(method)) if min(log.losses) > 0]
+        parts = zip(*([loss / log.losses[0] for loss in log.losses] for log in logs), strict=True)
+        return [statistics.geometric_mean(part) for part in parts]
+
+    def csv_lines(self) -> Iterator[dict[str, object]]:
+        """Yields labels and all metrics of each entry."""
+        for (method, category, objects), entry in self.entries.items():
+            first = entry.results[0]
+            made = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
+            labels = {"subject": method, "mechanism_rules": first.rows[0].mechanism_rules, "category": category}
+            within = {f"within_{k}_key_frames": entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
+            trainings = {"objects": objects, "trainings": len(entry.results)}
+            yield {**made, **labels, **trainings, **entry.metrics.columns(), **within}
 
 
-def least_to_most(numbers: Iterable[int]) -> str:
-    """Returns the range of some numbers as text: ``1 to 3``, one number if they are equal, empty without any."""
-    ordered = sorted(numbers)
-    return " to ".join(map(str, dict.fromkeys((*ordered[:1], *ordered[-1:]))))
+def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
+    """Returns the logs of the last training of each run that has one."""
+    last = [(run, [name for name, _ in run.options_of(TRAIN)][-1:]) for run in runs]
+    return [run.trainings[name] for run, names in last for name in names if name in run.trainings]
+
+
+def scenes_of(result: ResultFile) -> tuple[object, ...]:
+    """Returns all that decides the scenes of a result."""
+    options = evaluation_options(result.command).items()
+    deciding = {pair for pair in options if pair[0].startswith("--env.") and pair[0] not in OBSERVATION_OPTIONS}
+    return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), frozenset(deciding)
 
 
 def make_report(
-    results: Sequence[CellResult],
+    results: Iterable[ResultFile],
     declaration: Declaration,
     scale: str,
     *,
@@ -209,70 +213,57 @@ def make_report(
         unavailable: see `BenchmarkReport`.
         stale: cells whose key has changed, for instance by another version of a policy's package.
     """
-    declared, cells, there = declaration.scale(scale), all_cells(declaration, scale), {each.cell for each in results}
-    other_options = _with_other_options(results, declaration, scale)
-    newest = max(map(_versions, results), default=None)
-    earlier = {each.cell for each in results if _versions(each) != newest} | (set(stale) - other_options)
-    places = [_place(cell) for cell in (*cells, *there)]
+    by_cell = {cell_of(result): result for result in results}
+    declared, cells, methods = declaration.scale(scale), all_cells(declaration, scale), declaration.methods_of(scale)
+    titles = {name: _title(method.title, method.package) for name, method in methods.items()}
+    for cell, result in by_cell.items():
+        titles.setdefault(cell.method, _title(result.rows[0].subject, result.run.package if result.run else ""))
+    places = [(cell.category, cell.objects) for cell in (*cells, *by_cell)]
+    compared = {(effect.method, effect.without) for effect in declaration.effects if not effect.categories}
+    others = [
+        Effect(title=f"{titles[declaration.reference]} less {title}", method=declaration.reference, without=name)
+        for name, title in titles.items()
+        if declaration.reference in titles and name != declaration.reference
+        if (declaration.reference, name) not in compared
+    ]
     return BenchmarkReport(
         scale=scale,
         note=declared.note,
         beside_paper=declared.beside_paper,
-        reference=declaration.reference,
-        effects=declaration.effects,
-        rows=tuple(_rows(declaration.methods_of(scale), declared.beside_paper, results)),
-        categories=_in_order(CATEGORIES, (place[2] for place in places if place[1] is None)),
-        splits=_in_order(OBJECT_SPLITS, (place[3] for place in places if place[1] is None)),
-        trials=tuple(sorted({trials for _, trials, _, _ in places if trials is not None})),
-        entries=_entries(results, earlier, other_options),
-        missing=tuple(cell for cell in cells if cell not in there),
+        titles=titles,
+        paper={name: methods[name].paper if name in methods and declared.beside_paper else "" for name in titles},
+        effects=(*declaration.effects, *others),
+        categories=tuple(name for name in CATEGORIES if any(category == name for category, _ in places)),
+        splits=tuple(name for name in OBJECT_SPLITS if any(objects == name for _, objects in places)),
+        entries=_entries(by_cell, declaration, scale, stale),
+        missing=tuple(cell for cell in cells if cell not in by_cell),
         unavailable=dict(unavailable or {}),
-        results=tuple(results),
+        results=tuple(by_cell.values()),
     )
 
 
-def _versions(result: CellResult) -> tuple[int, int]:
-    return result.simulation_version, result.data_version
-
-
-def _with_other_options(results: Iterable[CellResult], declaration: Declaration, scale: str) -> set[Cell]:
-    declared = set(all_cells(declaration, scale))
-    measured = [each for each in results if each.cell in declared]
-    return {each.cell for each in measured if each.options != options_key(each.cell, declaration, scale)}
+def _title(title: str, package: str) -> str:
+    return f"{title} ({package})" if package else title
 
 
 def _entries(
-    results: Iterable[CellResult], earlier: Collection[Cell], other_options: Collection[Cell]
+    results: Mapping[Cell, ResultFile], declaration: Declaration, scale: str, stale: Collection[Cell]
 ) -> dict[Place, Entry]:
-    found: dict[Place, list[CellResult]] = {}
-    for result in results:
-        found.setdefault(_place(result.cell), []).append(result)
+    declared = set(all_cells(declaration, scale))
+    versions = {cell: (one.simulation_version, one.run.data_version if one.run else 0) for cell, one in results.items()}
+    newest = max(versions.values(), default=None)
+    marks, places = dict[Cell, set[str]](), dict[Place, list[Cell]]()
+    for cell, result in results.items():
+        options = options_key(cell, declaration, scale) if cell in declared else None
+        has_other_options = result.run is not None and options not in (None, result.run.options)
+        is_earlier = versions[cell] != newest or (cell in stale and not has_other_options)
+        marks[cell] = {*([EARLIER] if is_earlier else []), *([OTHER_OPTIONS] if has_other_options else [])}
+        places.setdefault((cell.method, cell.category, cell.objects), []).append(cell)
     return {
         place: Entry(
-            numbers=pool(each.numbers for each in several),
-            seeds=tuple(sorted(each.cell.seed for each in several)),
-            earlier=any(each.cell in earlier for each in several),
-            other_options=any(each.cell in other_options for each in several),
+            metrics=pool(results[cell].rows[0].metrics for cell in cells),
+            results=tuple(results[cell] for cell in cells),
+            marks="".join(mark for mark in MARKS if any(mark in marks[cell] for cell in cells)),
         )
-        for place, several in found.items()
+        for place, cells in places.items()
     }
-
-
-def _place(cell: Cell) -> Place:
-    return cell.method, cell.trials, cell.category, cell.objects
-
-
-def _rows(methods: Mapping[str, Method], beside_paper: bool, results: Iterable[CellResult]) -> Iterable[Row]:
-    for name, method in methods.items():
-        yield Row(name=name, title=method.title, paper=method.paper if beside_paper else "", package=method.package)
-    others = {
-        result.cell.method: Row(name=result.cell.method, title=result.title, package=result.package)
-        for result in results
-        if result.cell.method not in methods
-    }
-    yield from others.values()
-
-
-def _in_order(names: Iterable[str], chosen: Iterable[str]) -> tuple[str, ...]:
-    wanted = set(chosen)
-    return tuple(name for name in names if name in wanted)

@@ -3,239 +3,134 @@
 from __future__ import annotations
 
 import itertools
-import operator
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Mapping, Sequence
 
-from lerobot_adamanip.benchmark.budget import budget_table
-from lerobot_adamanip.benchmark.paired_text import effects_table, method_name, paired_table, title_of
-from lerobot_adamanip.benchmark.paper_rates import (
-    PAPER_OBJECTS,
-    SUCCESS_BY_TRIALS,
-    TRIALS_CATEGORY,
-    reported,
-    reported_mean,
-)
-from lerobot_adamanip.benchmark.report import BUDGETS, FEW_KEY_FRAMES, BenchmarkReport, Entry
-from lerobot_adamanip.benchmark.result import StepCost
+from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, reported, reported_mean
+from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
+from lerobot_adamanip.benchmark.report import MARKS, BenchmarkReport, Entry, last_trainings, within
 from lerobot_adamanip.benchmark.run import WORDS
+from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
-from lerobot_adamanip.evaluation.metrics import METRICS, Metrics
+from lerobot_adamanip.evaluation.metrics import METRICS
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.provenance import machine_text
-from lerobot_adamanip.evaluation.rates import Rate
-from lerobot_adamanip.evaluation.text_format import counted, duration_text, interval_text, markdown_table, words
+from lerobot_adamanip.evaluation.results import CellRun, StepCost
+from lerobot_adamanip.evaluation.text_format import counted, duration_text, markdown_table, percent_text, words
 
+BELOW_PAPER = "↓"
 _PAPER = f"the paper, {PAPER_OBJECTS}"
-EARLIER, OTHER_OPTIONS, BELOW_PAPER = "†", "‡", " ↓"
-_LEGEND = (
-    "Numbers are pooled over all trainings of a method, which see the same scenes. A mean weights all categories "
-    "equally. The CSV file beside this page has counts, Wilson's 95 % intervals and all metrics of each category, also "
-    "by hidden value. These intervals take all episodes as independent, so they are too narrow where several trainings "
-    "see the same scenes."
-)
-_PAPER_LEGEND = (
-    "The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what "
-    "the deviation measures. ↓: below the paper's mean less its deviation."
-)
-_SUCCESS, _WITHIN = operator.attrgetter("success"), operator.attrgetter("within_best_tries")
-_MARKS = {
-    EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
-    OTHER_OPTIONS: "of other options than declared now",
-}
+_WITHIN_TITLE = METRICS["within_best_tries"].title
+LEGEND = f"""## How to read it
+
+- *Within*: {_WITHIN_TITLE}. *Repeated*: failed tries that the next try repeats.
+- Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally. Those
+  of successes need all categories; those of tries are over the categories that have a value.
+- The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
+  take all episodes as independent, so they are too narrow where several trainings see the same scenes.
+- The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
+  deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
+- Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a
+  95 % interval over scenes, then each training's difference. The interval excludes the spread between trainings, which
+  share their demonstrations, and is not corrected for the number of comparisons. Two added scenes keep it from
+  collapsing where methods agree. A training in which one of the two lacks a category, or has other scenes, is left out.
+- Budgets are means over a method's trainings. Minutes are of corrections and trainings, and depend on the machine's
+  other load. The last column is the change of the training loss from the last but one fifth of the last training to its
+  last fifth: a loss that falls there has not converged.
+"""
 
 
 def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
-    """Returns a report as Markdown; ``level`` is the level of its first heading."""
-    first, inner = "#" * level, "#" * (level + 1)
-    parts = [f"{first} Benchmark, scale {report.scale}\n", _extent(report)]
-    for title, body in _sections(report):
-        parts += [f"{inner} {title}\n", f"{body}\n"]
+    """Returns a report as Markdown; ``level`` is the level of its first heading. `LEGEND` explains its tables."""
+    tables = {
+        "Means over the categories": means_table(report),
+        "By category: opened/within [%]": category_table(report),
+        "Differences in the same scenes": differences_table(report),
+        "Budget": budget_table(report),
+        "Cost": _costs(report) if report.results else "",
+    }
+    parts = [f"{'#' * level} Benchmark, scale {report.scale}\n", _extent(report)]
+    parts += [f"{'#' * (level + 1)} {title}\n\n{table}\n" for title, table in tables.items() if table]
     return "\n".join(parts)
 
 
 def summary(report: BenchmarkReport) -> str:
     """Returns the means of the methods that have results of all categories, as a short table; empty without any."""
     rows = []
-    for row in report.rows_with_results:
-        means = [(report.mean(row.name, each), report.mean(row.name, each, _WITHIN)) for each in report.splits]
+    for name in report.methods:
+        means = [(report.mean(name, objects), report.mean(name, objects, within)) for objects in report.splits]
         if means[0][0] is not None:
-            shown = ["-" if opened is None else f"{_mean(opened)}, {_mean(within)}" for opened, within in means]
-            rows.append([method_name(row), *shown, report.trainings(row.name, report.splits[0])])
+            cells = ["-" if one is None else f"{percent_text(one)}, {percent_text(other)}" for one, other in means]
+            rows.append([report.titles[name], *cells, report.trainings(name, report.splits[0])])
+    if not rows:
+        return ""
     titles = ["method", *(f"{objects} objects: opened, within" for objects in report.splits), "trainings"]
-    number = counted(report.results[0].numbers.success.episodes, "scene") if rows else ""
+    number = counted(report.results[0].rows[0].metrics.success.episodes, "scene")
     explanation = (
         f"Means over {len(report.categories)} categories, {number} of each, {report.scenes} scenes. A category's "
-        f"number is over all its trainings, which see the same scenes. *Within*: {METRICS['within_best_tries'].title}."
+        f"number is over all its trainings, which see the same scenes. *Within*: {_WITHIN_TITLE}."
     )
-    return f"{markdown_table(titles, rows)}\n\n{explanation}" if rows else ""
+    return f"{markdown_table(titles, rows)}\n\n{explanation}"
 
 
 def means_beside_paper(report: BenchmarkReport) -> str:
     """Returns the mean success of the paper's methods with the paper's numbers in brackets; empty without any."""
     means = []
-    for row in report.rows_with_results if report.beside_paper else ():
-        paper, ours = reported_mean(row.paper, report.categories), report.mean(row.name, PAPER_OBJECTS)
+    for name in report.methods:
+        paper, ours = reported_mean(report.paper[name], report.categories), report.mean(name, PAPER_OBJECTS)
         if paper is not None and ours is not None:
-            means.append(f"{method_name(row)} {_mean(ours)} ({paper:.1f})")
+            means.append(f"{report.titles[name]} {percent_text(ours)} ({paper:.1f})")
     if not means:
         return ""
-    number = counted(report.results[0].numbers.success.episodes, f"{report.scenes} scene")
+    number = counted(report.results[0].rows[0].metrics.success.episodes, f"{report.scenes} scene")
     title = f"Mean success in the setting of the paper's code, {number} of each category (in the paper)"
     return f"{title}: {', '.join(means)}."
 
 
-def _sections(report: BenchmarkReport) -> Iterator[tuple[str, str]]:
-    """Yields the title and body of each section that has data."""
-    if not report.results:
-        return
-    if len(report.categories) > 1:
-        yield "Mean success", _means(report)
-    yield "Success by category [%]", success_by_category(report)
-    if within := _by_category(report, _WITHIN):
-        yield f"{METRICS['within_best_tries'].title}, by category [%]".capitalize(), within
-    if paired := paired_table(report):
-        yield "In the same scenes", paired
-    if effects := effects_table(report):
-        yield "Effects of changes", effects
-    if report.trials:
-        yield "Success against failed trials in the demonstrations", _trials(report)
-    yield "Success within a number of key frames", _budgets(report)
-    yield "Tries", _tries(report)
-    if budgets := budget_table(report):
-        yield "Budget", budgets
-    yield "Cost", _costs(report)
-
-
 def _extent(report: BenchmarkReport) -> str:
     """Returns the number of results, the missing cells, and methods that cannot run here."""
-    simulation = " and ".join(sorted({str(result.simulation_version) for result in report.results}))
-    where = f" on {report.scenes} scenes, simulation version {simulation}" if report.results else ""
-    number = f"{counted(len(report.results), 'result')}{where}."
-    legends = (report.note, number, _LEGEND, _PAPER_LEGEND * report.beside_paper)
-    lines = [" ".join(filter(None, legends))]
-    shown = "".join(map(_mark, report.entries.values()))
-    if marks := [f"{mark}: {meaning}" for mark, meaning in _MARKS.items() if mark in shown]:
+    versions = sorted({str(result.simulation_version) for result in report.results})
+    where = f" on {report.scenes} scenes, simulation version {' and '.join(versions)}" if report.results else ""
+    lines = [" ".join(filter(None, (report.note, f"{counted(len(report.results), 'result')}{where}.")))]
+    shown = "".join(entry.marks for entry in report.entries.values())
+    if marks := [f"{mark}: {meaning}" for mark, meaning in MARKS.items() if mark in shown]:
         lines.append(f"{'; '.join(marks)}.")
-    if len({(report.scenes_of(result)[0], result.scenes) for result in report.results}) > 1:
+    if len({(result.simulation_version, result.scenes) for result in report.results}) > 1:
         lines.append("Mind: several simulation versions or splits of scenes; do not compare numbers of different ones.")
     if mixed := mixed_versions(result.all_versions for result in report.results):
         lines.append(f"Mind: measured with different versions installed: {mixed}.")
     if report.missing:
-        without = [method_name(row) for row in report.rows if row not in report.rows_with_results]
+        without = [title for name, title in report.titles.items() if name not in report.methods]
         methods = f" No result of: {'; '.join(without)}." if without else ""
         number = counted(len(report.missing), "cell")
         lines.append(f"Declared and not run: {number}; rows without a result are left out.{methods}")
-    lines += [f"- {title_of(report, name)} cannot be run here: {why}" for name, why in report.unavailable.items()]
+    lines += [
+        f"- {report.titles.get(name, name)} cannot be run here: {why}" for name, why in report.unavailable.items()
+    ]
     return "\n".join(lines) + "\n"
 
 
-def _means(report: BenchmarkReport) -> str:
-    first, within_title = report.splits[0], METRICS["within_best_tries"].title
+def means_table(report: BenchmarkReport) -> str:
+    """Returns a line for each method and split of objects; empty without results."""
     rows = []
-    for row in report.rows_with_results:
-        cells = []
-        for objects in report.splits:
-            entries = [report.entry(row.name, category, objects) for category in report.categories]
-            marks = "".join(mark for mark in _MARKS if any(entry and mark in _mark(entry) for entry in entries))
-            cells.append(f"{_mean(report.mean(row.name, objects))} {marks}".strip())
-        if set(cells) == {"-"}:
+    for name, objects in itertools.product(report.methods, report.splits):
+        if not (entries := report.of(name, objects)):
             continue
-        paper = reported_mean(row.paper, report.categories)
-        cells += [_mean(report.mean(row.name, first, _WITHIN)), report.trainings(row.name, first)]
-        cells += ["-" if paper is None else f"{paper:.1f} %"] * report.beside_paper
-        rows.append([method_name(row), *cells])
-    titles = ["method", *_objects(report), f"{within_title}, {first}", "trainings", *[_PAPER] * report.beside_paper]
-    return markdown_table(titles, rows)
-
-
-def _mean(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
-
-
-def success_by_category(report: BenchmarkReport) -> str:
-    """Returns success in percent, a column a category, with the paper's rows if they stand beside."""
-    return _by_category(report, _SUCCESS, report.beside_paper)
-
-
-def _by_category(report: BenchmarkReport, share: Callable[[Metrics], Rate | None], beside_paper: bool = False) -> str:
-    """Returns a table of a rate in percent, a column a category; empty without a result that has the rate."""
-    rows, shown, categories = [], set(), report.categories_with_results
-    for row, objects in itertools.product(report.rows_with_results, report.splits):
-        beside = beside_paper and objects == PAPER_OBJECTS
-        papers = [reported(row.paper, category) if beside else None for category in categories]
+        metrics = [entry.metrics for entry in entries]
+        marks = "".join(mark for mark in MARKS if any(mark in entry.marks for entry in entries))
+        wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries)
+        repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated)
+        paper = reported_mean(report.paper[name], report.categories) if objects == PAPER_OBJECTS else None
         cells = [
-            _cell(report.entry(row.name, category, objects), share, paper)
-            for category, paper in zip(categories, papers, strict=True)
+            f"{percent_text(report.mean(name, objects))} {marks}".strip(),
+            percent_text(report.mean(name, objects, within)),
+            "-" if wasted is None else f"{wasted:.2f}",
+            "-" if repeated is None else f"{100 * repeated:.0f} %",
+            report.trainings(name, objects),
+            *(["-" if paper is None else f"{paper:.1f} %"] * report.beside_paper),
         ]
-        if any(cell[0] != "-" for cell in cells):
-            rows.append([f"{method_name(row)}, {objects}", *cells])
-        if any(papers) and row.paper not in shown:
-            shown.add(row.paper)
-            values = ("-" if paper is None else "{:.0f} ± {:.0f}".format(*paper) for paper in papers)
-            rows.append([f"{row.paper}, {_PAPER}", *values])
-    return markdown_table(["method, objects", *map(words, categories)], rows) if rows else ""
-
-
-def _cell(entry: Entry | None, share: Callable[[Metrics], Rate | None], paper: tuple[float, float] | None) -> str:
-    """Returns a rate in percent with its marks; ``paper`` is the paper's mean and deviation [%]."""
-    rate = None if entry is None else share(entry.numbers)
-    if entry is None or rate is None or rate.rate is None:
-        return "-"
-    below = paper is not None and 100 * rate.rate < paper[0] - paper[1]
-    return f"{100 * rate.rate:.1f}".removesuffix(".0") + BELOW_PAPER * below + _mark(entry)
-
-
-def _mark(entry: Entry) -> str:
-    marks = EARLIER * entry.earlier + OTHER_OPTIONS * entry.other_options
-    return f"{' ' if marks else ''}{marks}"
-
-
-def _trials(report: BenchmarkReport) -> str:
-    rows = []
-    for method, category, objects in report.curves:
-        for trials in report.trials:
-            entry = report.entry(method, category, objects, trials)
-            cells = ["not run", "not run"]
-            if entry is not None:
-                within = interval_text(entry.numbers.opened_within(FEW_KEY_FRAMES))
-                cells = [interval_text(entry.numbers.success) + _mark(entry), within]
-            known = report.beside_paper and category == TRIALS_CATEGORY and trials < len(SUCCESS_BY_TRIALS)
-            paper = f"{SUCCESS_BY_TRIALS[trials]:.1f} %" if known else "-"
-            rows.append([words(category), objects, str(trials), *cells, paper])
-    titles = ["category", "objects", "failed trials", "success", f"within {FEW_KEY_FRAMES} key frames", "the paper"]
-    return markdown_table(titles, rows)
-
-
-def _budgets(report: BenchmarkReport) -> str:
-    rows = []
-    for row in report.rows:
-        for objects in report.splits:
-            means = [report.mean(row.name, objects, operator.methodcaller("opened_within", each)) for each in BUDGETS]
-            if means[-1] is not None:
-                rows.append(
-                    [method_name(row), objects, *("-" if mean is None else f"{100 * mean:.1f} %" for mean in means)]
-                )
-    if not rows:
-        return "No method has results of all categories yet."
-    return markdown_table(["mean over the categories", "objects", *map(str, BUDGETS)], rows)
-
-
-def _tries(report: BenchmarkReport) -> str:
-    rows = []
-    for row, objects in itertools.product(report.rows, report.splits):
-        if found := report.numbers(row.name, report.categories, (objects,)):
-            wasted = _known_mean(each.wasted_tries.value for each in found if each.wasted_tries)
-            repeated = _known_mean(each.repeated.rate for each in found if each.repeated)
-            new = _known_mean(after_one.rate for each in found if (after_one := (each.untried or {}).get(1)))
-            shares = ["-" if each is None else f"{100 * each:.0f} %" for each in (repeated, new)]
-            shown = "-" if wasted is None else f"{wasted:.2f}"
-            rows.append([method_name(row), objects, str(len(found)), shown, *shares])
-    titles = ["method", "objects", "categories", "wasted tries", "failed tries repeated", "new after a failed try"]
-    explanation = (
-        "Means over the categories that have a value, equally weighted. Wasted tries are the failed tries per success "
-        "minus those that a strategy without sight of the hidden state must expect. New after a failed try: after one "
-        "kind of failed try since the last motion."
-    )
-    return f"{markdown_table(titles, rows)}\n\n{explanation}"
+        rows.append([f"{report.titles[name]}, {objects}", *cells])
+    titles = ["method, objects", "opened", "within", "wasted tries", "repeated", "trainings"]
+    return markdown_table([*titles, *[_PAPER] * report.beside_paper], rows) if rows else ""
 
 
 def _known_mean(values: Iterable[float | None]) -> float | None:
@@ -243,37 +138,125 @@ def _known_mean(values: Iterable[float | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
+def category_table(report: BenchmarkReport) -> str:
+    """Returns successes and those within the best strategy's tries, a column a category; empty without results.
+
+    The paper's rows follow those of its methods.
+    """
+    rows, shown, categories = [], {""}, report.categories_with_results
+    for name, objects in itertools.product(report.methods, report.splits):
+        if not report.of(name, objects):
+            continue
+        is_beside_paper = objects == PAPER_OBJECTS
+        papers = [reported(report.paper[name], category) if is_beside_paper else None for category in categories]
+        entries = [report.entries.get((name, category, objects)) for category in categories]
+        cells = [_cell(entry, paper) for entry, paper in zip(entries, papers, strict=True)]
+        rows.append([f"{report.titles[name]}, {objects}", *cells])
+        if any(papers) and report.paper[name] not in shown:
+            shown.add(report.paper[name])
+            values = ("-" if paper is None else "{:.0f}±{:.0f}".format(*paper) for paper in papers)
+            rows.append([f"{report.paper[name]}, {_PAPER}", *values])
+    return markdown_table(["method, objects", *map(words, categories)], rows) if rows else ""
+
+
+def _cell(entry: Entry | None, paper: tuple[float, float] | None) -> str:
+    """Returns two rates in percent with their marks; ``paper`` is the paper's mean and deviation [%]."""
+    if entry is None or entry.metrics.success.rate is None:
+        return "-"
+    is_below = paper is not None and 100 * entry.metrics.success.rate < paper[0] - paper[1]
+    both = [entry.metrics.success, entry.metrics.within_best_tries]
+    numbers = [f"{100 * one.rate:.1f}".removesuffix(".0") for one in both if one and one.rate is not None]
+    return " ".join(filter(None, ("/".join(numbers), BELOW_PAPER * is_below + entry.marks)))
+
+
+def differences_table(report: BenchmarkReport) -> str:
+    """Returns the differences of `BenchmarkReport.effects` over the categories in which both methods have results."""
+    rows = []
+    for effect, objects in itertools.product(report.effects, report.splits):
+        methods = (effect.method, effect.without)
+        chosen = [category for category in report.categories if category in (effect.categories or report.categories)]
+        shared = [one for one in chosen if all((name, one, objects) in report.entries for name in methods)]
+        gaps = [report.paired(methods, shared, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
+        if all(gaps):
+            where = "all" if len(shared) == len(report.categories) else ", ".join(map(words, shared))
+            rows.append([effect.title, f"{where}, {objects}", *(_difference(gap) for gap in gaps if gap)])
+    return markdown_table(["difference", "categories, objects", "opened", "within"], rows) if rows else ""
+
+
+def _difference(gap: PairedDifference) -> str:
+    trainings = ", ".join(f"{100 * value:+z.0f}" for value in gap.by_training.values())
+    each = f" ({trainings})" if len(gap.by_training) > 1 else ""
+    return f"{100 * gap.difference:+z.0f} [{100 * gap.low:+z.0f}, {100 * gap.high:+z.0f}]{each}"
+
+
+def budget_table(report: BenchmarkReport) -> str:
+    """Returns what each trained method was given (data, steps, minutes, parameters), and how its loss ends."""
+    rows = []
+    for name in report.methods:
+        if runs := [run for run in report.runs_of(name) if TRAIN in run.steps]:
+            rows.append([report.titles[name], _data(runs), _steps(runs[0]), *_costs_of(runs)])
+    titles = ["method", "learns from", "steps x batch", "minutes of a core", "parameters", "loss, last fifth"]
+    return markdown_table(titles, rows) if rows else ""
+
+
+def _data(runs: Sequence[CellRun]) -> str:
+    """Returns the kind and mean number of demonstrations, and what else the trainings use."""
+    collect, train = ([options for _, options in runs[0].options_of(kind)] for kind in (COLLECT, TRAIN))
+    demonstrations, corrections = (
+        sum(_recorded(options) for run in runs for _, options in run.options_of(kind)) / len(runs)
+        for kind in (COLLECT, CORRECT)
+    )
+    parts = [f"{demonstrations:.0f} {collect[0]['--expert']} demonstrations"]
+    parts += [f"{corrections:.0f} corrections"] if corrections else []
+    parts += {f"images of {options['--image-size']} px" for options in collect if "--image-size" in options}
+    is_pretrained = any(one.get("--policy.pretrained_backbone_weights", "null") != "null" for one in train)
+    return ", ".join([*parts, *(["a pretrained backbone"] if is_pretrained else [])])
+
+
+def _recorded(options: Mapping[str, str]) -> int:
+    """Returns the number of episodes that a collection records."""
+    objects = parse_object_selection(options["--category"], options["--objects"])
+    return len(objects) * int(options["--episodes-per-object"])
+
+
+def _steps(run: CellRun) -> str:
+    """Returns the steps of a run's trainings, the last one first if they are of several categories."""
+    trainings = [options for _, options in run.options_of(TRAIN)]
+    steps = [options["--steps"] for options in trainings]
+    is_of_one = len(list(run.options_of(COLLECT))) == 1
+    shown = " + ".join(steps) if is_of_one else f"{steps[-1]}, after {counted(len(steps) - 1, 'training')}"
+    return f"{shown} x {trainings[-1]['--batch_size']}"
+
+
+def _costs_of(runs: Sequence[CellRun]) -> list[str]:
+    """Returns minutes of a core, parameters, and the change of the loss, as texts."""
+    names = [(run, name) for run in runs for kind in (CORRECT, TRAIN) for name, _ in run.options_of(kind)]
+    costs = [run.costs[name] for run, name in names if name in run.costs]
+    minutes = sum(cost.seconds * cost.machine["cores"] / 60 for cost in costs) / len(runs)
+    logs = last_trainings(runs)
+    if not logs:
+        return [f"{minutes:.0f}", "-", "-"]
+    change = sum(log.change for log in logs) / len(logs)
+    return [f"{minutes:.0f}", f"{logs[0].parameters / 1e6:.1f} million", f"{100 * change:+.0f} %"]
+
+
 def _costs(report: BenchmarkReport) -> str:
     costs: dict[str, dict[str, StepCost]] = {}  # a step that several cells share appears once
-    for result in report.results:
-        for name, cost in result.costs.items():
-            costs.setdefault(name.partition("_")[0], {})[result.steps[name].key] = cost
-    lines = [
-        f"- {WORDS[kind]}: {duration_text(sum(each.seconds for each in found.values()))}, {counted(len(found), 'time')}"
-        for kind, found in costs.items()
-    ]
-    machines = sorted(
-        (each.machine for found in costs.values() for each in found.values()), key=lambda m: (m["cores"], m["gpu"])
-    )
-    lines.append(f"- on {'; '.join(dict.fromkeys(map(machine_text, machines)))}")
-    commits = {f"{each.commit or 'none'}"[:10] + " with changes" * each.changed for each in report.results}
-    simulation, data, versions = (
-        {str(getattr(each, name)) for each in report.results}
-        for name in ("simulation_version", "data_version", "version")
-    )
-    installed = joined_versions(each.all_versions for each in report.results)
-    scenes = {"{} to {}".format(*each.scene_seeds) for each in report.results}
-    for what, values in (
-        ("seeds of scenes", scenes),
-        ("commit", commits),
-        ("simulation version", simulation),
-        ("data version", data),
-        ("version", versions),
-        ("installed", {f"{name} {version}" for name, version in installed.items()}),
-    ):
-        lines.append(f"- {what}: {', '.join(sorted(values))}")
-    return "\n".join(lines)
-
-
-def _objects(report: BenchmarkReport) -> list[str]:
-    return [f"{objects} objects" for objects in report.splits]
+    for run in (result.run for result in report.results if result.run):
+        for name, cost in run.costs.items():
+            costs.setdefault(name.partition("_")[0], {})[run.steps[name].key] = cost
+    seconds = {kind: sum(cost.seconds for cost in several.values()) for kind, several in costs.items()}
+    paid = [f"{WORDS[kind]} {duration_text(seconds[kind])} ({counted(len(costs[kind]), 'time')})" for kind in costs]
+    machines = sorted({machine_text(cost.machine) for several in costs.values() for cost in several.values()})
+    commits = {f"{result.commit or 'none'}"[:10] + " with changes" * result.changed for result in report.results}
+    installed = joined_versions(result.all_versions for result in report.results)
+    versions = {
+        "seeds of scenes": {"{} to {}".format(*result.seeds) for result in report.results},
+        "commit": commits,
+        "data version": {str(result.run.data_version) for result in report.results if result.run},
+        "version": {result.version for result in report.results},
+        "installed": {f"{name} {version}" for name, version in installed.items()},
+    }
+    lines = [f"{', '.join(paid)}, on {'; '.join(machines)}"]
+    lines += [f"{what}: {', '.join(sorted(values))}" for what, values in versions.items()]
+    return "\n".join(f"- {line}" for line in lines)

@@ -6,40 +6,48 @@ trainings resume; an unfinished evaluation starts again.
 
 from __future__ import annotations
 
+import re
+import shlex
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 
-from lerobot_adamanip.benchmark.cells import Cell
 from lerobot_adamanip.benchmark.command import Runner, begin_command, end_command
-from lerobot_adamanip.benchmark.command_options import evaluation_options, option
 from lerobot_adamanip.benchmark.declaration import Declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
     CORRECT,
     EPISODE_LOG,
-    EVALUATE,
     MERGE,
     TRAIN,
+    Cell,
     KeyVersions,
     Step,
+    evaluation_options,
     last_checkpoint,
     named_steps,
     options_key,
     plan,
 )
-from lerobot_adamanip.benchmark.result import CellResult, StepDone, read_cell, write_cell
-from lerobot_adamanip.benchmark.training_log import TrainingLog, read_training_log
 from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
-from lerobot_adamanip.evaluation.groups import first_episodes, without_repeats
-from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.metrics import measure
-from lerobot_adamanip.evaluation.paired import failed_tries, outcomes
 from lerobot_adamanip.evaluation.provenance import Origin
-from lerobot_adamanip.evaluation.record import EpisodeRecord
+from lerobot_adamanip.evaluation.record import EpisodeRecord, first_episodes, read_log, without_repeats
+from lerobot_adamanip.evaluation.results import (
+    EVALUATE,
+    LOGGED,
+    CellRun,
+    ResultFile,
+    ResultRow,
+    StepDone,
+    TrainingLog,
+    command_options,
+    read_result,
+    write_result,
+)
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
@@ -56,6 +64,10 @@ WORDS = {
     TRAIN: "training",
     EVALUATE: "evaluating",
 }
+
+
+_PARAMETERS = re.compile(r"num_learnable_params=(\d+)")
+_LOSS = re.compile(r" loss:([-+.\deE]+) ")
 
 
 class StepError(AdaManipError, RuntimeError):
@@ -76,7 +88,7 @@ class CellState:
     cell: Cell
     state: str
     reason: str = ""
-    result: CellResult | None = None
+    result: ResultFile | None = None
 
 
 @dataclass(frozen=True)
@@ -121,16 +133,16 @@ class BenchmarkRun:
 
     def state(self, cell: Cell) -> CellState:
         """Returns the progress of a cell; runs nothing."""
-        result = read_cell(path) if (path := self.folder.result(cell)).exists() else None
+        result = read_result(path) if (path := self.folder.result(cell)).exists() else None
         if reason := self.unavailable.get(cell.method):
             return CellState(cell, UNAVAILABLE, reason, result)
         step = self._plan(cell)
         if result is not None:
             mixed = mixed_versions([result.all_versions, self.origin.versions])
             reason = mixed and f"measured with other versions than installed: {mixed}"
-            # Told only: an update of a package changes few numbers, and would repeat days of work.
-            return CellState(cell, DONE if result.key == step.key else STALE, reason, result)
-        begun = any(self.folder.is_begun(each) for each in step.chain())
+            # Reported only: an update of a package changes few numbers, and would repeat days of work.
+            return CellState(cell, DONE if result.run and result.run.key == step.key else STALE, reason, result)
+        begun = any(self.folder.is_begun(part) for part in step.chain())
         return CellState(cell, BEGUN if begun else MISSING)
 
     def run(self, cells: Sequence[Cell]) -> Iterator[CellState]:
@@ -148,8 +160,8 @@ class BenchmarkRun:
                     yield from self._advanced(waiting, lock)
                     self._wait()
             finally:
-                for each in self._running.values():
-                    end_command(each.process)
+                for running in self._running.values():
+                    end_command(running.process)
                 self._running.clear()
 
     def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
@@ -171,13 +183,13 @@ class BenchmarkRun:
         before = self.state(cell)
         if before.state in (DONE, UNAVAILABLE):
             return before
-        for each in step.chain():
-            if each.key in self._failed:
-                return CellState(cell, FAILED, self._failed[each.key], before.result)
+        for part in step.chain():
+            if part.key in self._failed:
+                return CellState(cell, FAILED, self._failed[part.key], before.result)
         if self._next_step(step) is not None:
             return None
         try:
-            write_cell(self.folder.result(cell), self._result(cell, step))
+            write_result(self.folder.result(cell), self._result(cell, step))
         except StepError as error:
             return CellState(cell, FAILED, str(error), before.result)
         return self.state(cell)
@@ -206,18 +218,18 @@ class BenchmarkRun:
         """Waits until a command ends; reports running commands at intervals."""
         due = time.perf_counter() + SIGN_OF_LIFE_SECONDS
         while self._running:
-            ended = [(each, status) for each in self._running.values() if (status := each.process.poll()) is not None]
-            for each, status in ended:
-                del self._running[each.step.key]
-                self._end(each.step, each.begin, status, each.program)
+            ended = [(one, status) for one in self._running.values() if (status := one.process.poll()) is not None]
+            for running, status in ended:
+                del self._running[running.step.key]
+                self._end(running.step, running.begin, status, running.program)
             if ended:
                 return
             if time.perf_counter() >= due:
                 due += SIGN_OF_LIFE_SECONDS
-                for each in self._running.values():
-                    seconds = time.perf_counter() - each.begin
-                    line = files.last_line(self.folder.log(each.step))[:_LINE_LENGTH]
-                    self.say(f"{each.label}: {WORDS[each.step.kind]} for {seconds:.0f} s: {line}")
+                for running in self._running.values():
+                    seconds = time.perf_counter() - running.begin
+                    line = files.last_line(self.folder.log(running.step))[:_LINE_LENGTH]
+                    self.say(f"{running.label}: {WORDS[running.step.kind]} for {seconds:.0f} s: {line}")
             time.sleep(_POLL_SECONDS)
 
     def _end(self, step: Step, begin: float, status: int, program: str) -> None:
@@ -247,53 +259,71 @@ class BenchmarkRun:
             return [*whole, *self.collect_options]
         if step.kind == TRAIN:
             leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods, including LeRobot's own
-            if behind := self.folder.trained_steps(step):
-                wanted = int(option(step.command, "--steps"))
+            if done := self.folder.trained_steps(step):
+                steps = int(command_options(shlex.join(step.command))["--steps"])
                 config = last_checkpoint(step.product) / "train_config.json"
-                resumed = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={wanted}"]
-                return [] if behind >= wanted else resumed
+                resume = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={steps}"]
+                return [] if done >= steps else resume
         # LeRobot rejects a folder without a checkpoint, and a partial episode log would count as complete.
         files.remove_tree(product)
         return whole
 
     def _records(self, step: Step) -> list[EpisodeRecord]:
         """Returns the episodes of an evaluation; raises `StepError` if they are not the requested ones."""
-        options = evaluation_options(step.command)
-        wanted, scenes = int(options["--eval.n_episodes"]), options["--env.split"]
+        options = evaluation_options(shlex.join(step.command))
+        count, scenes = int(options["--eval.n_episodes"]), options["--env.split"]
         try:
-            records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), wanted)
+            records = first_episodes(read_log(self.folder.product(step) / EPISODE_LOG), count)
         except DatasetError as error:
             raise StepError(str(error)) from error
-        made = {(record.provenance.simulation_version, record.split) for record in records}
-        if len(records) != wanted or made != {(self.versions.simulation, scenes)}:
-            got = ", ".join(f"{split} scenes of simulation version {each}" for each, split in sorted(made, key=str))
+        kinds = {(record.provenance.simulation_version, record.split) for record in records}
+        if len(records) != count or kinds != {(self.versions.simulation, scenes)}:
+            got = ", ".join(
+                f"{split} scenes of simulation version {version}" for version, split in sorted(kinds, key=str)
+            )
             raise StepError(
-                f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {wanted}, "
+                f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {count}, "
                 f"{scenes} scenes of simulation version {self.versions.simulation}."
             )
         return records
 
-    def _training_log(self, step: Step) -> TrainingLog | None:
-        return read_training_log(self.folder.log(step)) if step.kind == TRAIN else None
-
-    def _result(self, cell: Cell, step: Step) -> CellResult:
-        method, records, steps = self.declaration.methods[cell.method], self._records(step), named_steps(step)
+    def _result(self, cell: Cell, last: Step) -> ResultFile:
+        method, records, steps = self.declaration.methods[cell.method], self._records(last), named_steps(last)
         records = without_repeats(records)
         seeds = [record.given_seed for record in records]
-        return CellResult(
-            cell=cell,
-            title=method.title,
-            package=method.package,
-            scale=self.scale,
-            options=options_key(cell, self.declaration, self.scale),
-            steps={name: StepDone.of(each) for name, each in steps.items()},
-            simulation_version=self.versions.simulation,
-            data_version=self.versions.data,
+        logs = {name: read_training_log(self.folder.log(step)) for name, step in steps.items() if step.kind == TRAIN}
+        costs = {name: cost for name, step in steps.items() if (cost := self.folder.cost(step)) is not None}
+        commands = {name: shlex.join((*step.command, *step.non_key_options)) for name, step in steps.items()}
+        rules = evaluation_options(commands[EVALUATE])["--env.mechanism_rules"]
+        return ResultFile(
             **vars(self.origin),
-            scene_seeds=(min(seeds), max(seeds)),
-            numbers=measure(records),
-            outcomes=outcomes(records),
-            failed_tries=failed_tries(records),
-            trainings={name: log for name, each in steps.items() if (log := self._training_log(each)) is not None},
-            costs={name: cost for name, each in steps.items() if (cost := self.folder.cost(each)) is not None},
+            kind="expert" if method.expert else "policy",
+            title=f"benchmark, scale {self.scale}, training seed {cell.seed}",
+            command=commands[EVALUATE],
+            simulation_version=self.versions.simulation,
+            machine=costs[EVALUATE].machine,
+            scenes=records[0].split,
+            seeds=(min(seeds), max(seeds)),
+            seconds=costs[EVALUATE].seconds,
+            rows=(ResultRow.of(method.title, rules, cell.category, cell.objects, records),),
+            run=CellRun(
+                scale=self.scale,
+                method=cell.method,
+                package=method.package,
+                seed=cell.seed,
+                options=options_key(cell, self.declaration, self.scale),
+                data_version=self.versions.data,
+                steps={name: StepDone(key=step.key, command=commands[name]) for name, step in steps.items()},
+                trainings={name: log for name, log in logs.items() if log is not None},
+                costs=costs,
+            ),
         )
+
+
+def read_training_log(path: Path) -> TrainingLog | None:
+    """Returns the training in a log; None if it was interrupted, or if LeRobot has changed the form of its log."""
+    text = path.read_text(encoding="utf-8", errors="replace") if path.exists() else ""
+    parameters, losses = _PARAMETERS.findall(text), [float(loss) for loss in _LOSS.findall(text)]
+    if len(parameters) != 1 or len(losses) != LOGGED:
+        return None
+    return TrainingLog(parameters=int(parameters[0]), losses=tuple(losses))

@@ -12,23 +12,20 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration, with_packages
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.packages import with_packages
-from lerobot_adamanip.benchmark.plan import KeyVersions
+from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, select_cells
+from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.benchmark.report import make_report
-from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.report_text import benchmark_page
-from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
 from lerobot_adamanip.evaluation.rates import rate, success_summary
-from lerobot_adamanip.evaluation.tables import csv_table
-from lerobot_adamanip.evaluation.text_format import counted, interval_text
+from lerobot_adamanip.evaluation.results import read_results
+from lerobot_adamanip.evaluation.text_format import counted, csv_table, interval_text
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_adamanip.util.files import write_atomically
 
@@ -137,7 +134,7 @@ def _write_report(made: BenchmarkRun) -> dict[str, str]:
     """Writes the report of all results in the folder as Markdown, CSV and pictures. Returns the paths."""
     stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
     report = make_report(
-        read_cells(made.folder.cells),
+        read_results(made.folder.cells).values(),
         made.declaration,
         made.scale,
         unavailable=made.unavailable,
@@ -146,8 +143,8 @@ def _write_report(made: BenchmarkRun) -> dict[str, str]:
     folder = made.folder.root / "report"
     folder.mkdir(parents=True, exist_ok=True)
     table, metrics = folder / "benchmark.md", folder / "benchmark.csv"
-    write_atomically(table, benchmark_page(report).encode())
-    write_atomically(metrics, csv_table(report.csv_rows()).encode())
+    write_atomically(table, f"{benchmark_page(report)}\n{LEGEND}".encode())
+    write_atomically(metrics, csv_table(list(report.csv_lines())).encode())
     pictures = {f"picture of {path.stem}": str(path) for path in plot_report(report, folder)}
     return {"table": str(table), "metrics": str(metrics), **pictures}
 
@@ -157,7 +154,7 @@ def _names(text: str) -> tuple[str, ...]:
 
 
 def _state_json(state: CellState) -> dict[str, Any]:
-    success = None if state.result is None else state.result.numbers.success
+    success = None if state.result is None else state.result.rows[0].metrics.success
     return {
         "name": state.cell.name,
         **asdict(state.cell),
@@ -169,5 +166,5 @@ def _state_json(state: CellState) -> dict[str, Any]:
 
 def _told(state: CellState) -> str:
     """Returns a cell's success rate, if it has a result, and the reason of its state."""
-    success = rate(0, 0) if state.result is None else state.result.numbers.success
+    success = rate(0, 0) if state.result is None else state.result.rows[0].metrics.success
     return "; ".join(filter(None, (interval_text(success) if success.episodes else "", state.reason)))

@@ -86,11 +86,11 @@ class ExpertCommand:
             run_label=f"{self.expert} expert",
         )
         from lerobot_adamanip.evaluation.report import compare
-        from lerobot_adamanip.evaluation.text_format import markdown_table
 
         comparison = compare({"expert": list(self._episodes(options))})
-        table = markdown_table(["", "expert"], comparison.rows(), align=True)
-        text = "\n".join((comparison.title, "", table, "", *comparison.lines(), f"written: {self.episode_log}"))
+        text = "\n".join(
+            (comparison.title, "", comparison.table(), "", *comparison.lines(), f"written: {self.episode_log}")
+        )
         print_result(self.json, {**comparison.to_json(), "episode_log": self.episode_log}, text)
         return 0
 

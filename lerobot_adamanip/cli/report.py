@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from lerobot_adamanip.cli.arguments import print_result, require_suffix
-from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -61,7 +60,7 @@ class ReportCommand:
         """Reads, prints, plots and writes. Returns 0."""
         labels = self._labels()
         self._check()
-        from lerobot_adamanip.evaluation.log import read_log
+        from lerobot_adamanip.evaluation.record import read_log
         from lerobot_adamanip.evaluation.report import compare
 
         logs = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
@@ -69,10 +68,9 @@ class ReportCommand:
         comparison = compare(evaluations)
         for path in self.out:
             self._write(evaluations, path)
-        table = markdown_table(["", *evaluations], comparison.rows(), align=True)
         surplus = () if self.episodes else (SURPLUS,)
         lines = (*comparison.lines(), *surplus, *(f"written: {path}" for path in self.out))
-        text = "\n".join((comparison.title, "", table, "", *lines))
+        text = "\n".join((comparison.title, "", comparison.table(), "", *lines))
         print_result(self.json, {**comparison.to_json(), "out": self.out}, text)
         return 0
 
@@ -82,11 +80,9 @@ class ReportCommand:
 
             plot_evaluations(evaluations, path)
             return
-        from lerobot_adamanip.evaluation.results import policy_result, rows_of_records, write_result
+        from lerobot_adamanip.evaluation.results import policy_result, write_result
 
-        rows = [row for label, part in evaluations.items() for row in rows_of_records(part, label)]
-        records = [record for part in evaluations.values() for record in part]
-        write_result(path, policy_result(rows, records, title=self.title, command=str(self.command)))
+        write_result(path, policy_result(evaluations, title=self.title, command=str(self.command)))
 
     def _check(self) -> None:
         results = [path for path in self.out if path.suffix.lower() == _RESULT]
@@ -115,7 +111,7 @@ class ReportCommand:
 
     def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
         """Yields label and records of each evaluation. Several in one log are numbered."""
-        from lerobot_adamanip.evaluation.groups import first_episodes, split_evaluations
+        from lerobot_adamanip.evaluation.record import first_episodes, split_evaluations
 
         for label, records in logs.items():
             chosen = records if self.episodes is None else first_episodes(records, self.episodes)

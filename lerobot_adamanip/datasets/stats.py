@@ -15,10 +15,10 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.conditions import counted_labels, episode_values
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.selection import selection_path
-from lerobot_adamanip.evaluation.groups import ALL, OBJECT_SPLITS, Group, hidden_names, worth_showing
+from lerobot_adamanip.evaluation.metrics import Recovery, recovery
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
-from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.tries import Recovery, recovery
+from lerobot_adamanip.evaluation.record import EpisodeRecord, hidden_names
+from lerobot_adamanip.evaluation.report import ALL, OBJECT_SPLITS, Group, worth_showing
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 from lerobot_adamanip.util.json_fields import integer, parse, read

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from lerobot_adamanip.evaluation.metrics import within_best_tries
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.tries import within_best_tries
 
 FAILED, OPENED, WITHIN_TRIES = "0", "1", "2"
 """Outcome of a scene: failed; opened; opened within the failed tries that the best strategy needs at worst."""
@@ -37,13 +37,14 @@ class PairedDifference:
 def outcomes(records: Iterable[EpisodeRecord]) -> str:
     """Returns the outcomes of an evaluation's scenes in the order of their seeds, one digit each."""
     return "".join(
-        WITHIN_TRIES if within_best_tries(each) else OPENED if each.success else FAILED for each in _in_order(records)
+        WITHIN_TRIES if within_best_tries(record) else OPENED if record.success else FAILED
+        for record in _in_order(records)
     )
 
 
 def failed_tries(records: Iterable[EpisodeRecord]) -> str:
     """Returns the failed tries in an evaluation's scenes in the order of their seeds, one digit each, 9 for more."""
-    return "".join(str(min(each.failed_tries, MAX_COUNTED_TRIES)) for each in _in_order(records))
+    return "".join(str(min(record.failed_tries, MAX_COUNTED_TRIES)) for record in _in_order(records))
 
 
 def _in_order(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
@@ -64,9 +65,10 @@ def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcom
     """
     gaps = {
         seed: np.mean(
-            [[(a >= min_outcome) - (b >= min_outcome) for a, b in zip(*pair, strict=True)] for pair in each], axis=0
+            [[(a >= min_outcome) - (b >= min_outcome) for a, b in zip(*pair, strict=True)] for pair in evaluations],
+            axis=0,
         )
-        for seed, each in pairs.items()
+        for seed, evaluations in pairs.items()
     }
     scenes = np.mean(list(gaps.values()), axis=0)
     added = max(map(len, pairs.values())) ** -0.5

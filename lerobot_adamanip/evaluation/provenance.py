@@ -11,10 +11,10 @@ from typing import Annotated
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.contract.versions import installed_versions
+from lerobot_adamanip.evaluation.rates import LINE
 from lerobot_adamanip.util import json_fields
 
 HASH = json_fields.text(r"[0-9a-f]{8,64}", "a hash")
-LINE = json_fields.text(r"[^\r\n|]{1,200}", "a line of at most 200 characters without |")
 MACHINE = json_fields.table({"cores": json_fields.integer(1, 10**5), "gpu": json_fields.flag})
 """Check of the value of `machine_class`."""
 VERSION_NUMBER = json_fields.integer(1, 10**6)

@@ -1,26 +1,39 @@
-"""`EpisodeRecord`: result of an episode. The environment writes it as a line of the episode log; reports read it."""
+"""Records of episodes, and the episode log (``--env.episode_log=FILE``) that holds them.
+
+A log has one `EpisodeRecord` per JSON line, appended by the environments of many processes. It is the table that all
+metrics are computed from.
+"""
 
 from __future__ import annotations
 
+import json
+import logging
 import re
 import reprlib
-from collections.abc import Mapping
+import statistics
+import uuid
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
 from lerobot_adamanip.contract.seeds import SPLITS
-from lerobot_adamanip.episode.options import POSES, from_stored, to_stored
+from lerobot_adamanip.episode.options import POSES
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
-from lerobot_adamanip.util import json_fields
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
+from lerobot_adamanip.util import files, json_fields
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, DatasetError, listed
 
 LABEL = r"[^\r\n\x00-\x1f\u2028\u2029]{1,100}"
 """Check of an evaluation's label."""
 HiddenValue = bool | int | float
 TryMade = tuple[int, int, bool]
 """A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
+Boundaries = Mapping[tuple[str, str], float]
+"""(category, hidden name) -> median that halves a continuous range."""
+_STORED_RULES = "mechanism_preset"
+"""Key of the mechanism rules in a log."""
 
 
 @dataclass(frozen=True)
@@ -113,12 +126,12 @@ class EpisodeRecord:
     @property
     def counted_tries(self) -> tuple[TryMade, ...]:
         """The tries, without pulls that stall after the part has given way: nothing is hidden there any more."""
-        found, has_given_way = list[TryMade](), False
+        counted, has_given_way = list[TryMade](), False
         for joint, sign, failed in self.try_sequence:
             if joint > 0 or not (failed and has_given_way):
-                found.append((joint, sign, failed))
+                counted.append((joint, sign, failed))
             has_given_way |= joint == 0 and not failed
-        return tuple(found)
+        return tuple(counted)
 
     @property
     def failed_tries(self) -> int:
@@ -133,30 +146,160 @@ class EpisodeRecord:
     @property
     def evaluation(self) -> tuple[str | None, str | None, int]:
         """Key of the evaluation: run, label, and index in the run."""
-        made = self.provenance
-        return (made.run_id, made.run_label, made.evaluation)
+        return (self.provenance.run_id, self.provenance.run_label, self.provenance.evaluation)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the record as a flat JSON object; includes ``category`` for other tools."""
-        plain = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
+        own = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
-        sequence = [list(each) for each in self.try_sequence]
-        made = to_stored(asdict(self.provenance))
-        return {**plain, "category": self.category, "try_sequence": sequence, **mappings, **made}
+        tries = [list(each) for each in self.try_sequence]
+        provenance = {
+            _STORED_RULES if name == "mechanism_rules" else name: value
+            for name, value in asdict(self.provenance).items()
+        }
+        return {**own, "category": self.category, "try_sequence": tries, **mappings, **provenance}
 
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
-        found = from_stored(_RECORD("the record", content))
-        own = {item.name: found[item.name] for item in fields(cls) if item.name != "provenance"}
-        record = cls(**own, provenance=Provenance(**{item.name: found[item.name] for item in fields(Provenance)}))
-        _check_agreement(record, found["category"])
+        values = _RECORD("the record", content)
+        values["mechanism_rules"] = values.pop(_STORED_RULES)
+        category = values.pop("category")
+        provenance = Provenance(**{item.name: values.pop(item.name) for item in fields(Provenance)})
+        record = cls(**values, provenance=provenance)
+        if category != record.category:
+            raise ValueError(f"'category' is {category!r}, but the object is {record.object_id!r}")
         return record
 
 
-def _check_agreement(record: EpisodeRecord, category: str) -> None:
-    if category != record.category:
-        raise ValueError(f"'category' is {category!r}, but the object is {record.object_id!r}")
+def new_run_id() -> str:
+    """Returns a random id for one evaluation, shared by all its processes."""
+    return uuid.uuid4().hex[:12]
+
+
+def append_record(path: Path, record: EpisodeRecord) -> None:
+    """Appends a record as one line; creates the folder if needed. Raises `DatasetError` if it cannot be written."""
+    try:
+        files.append_line(path, json.dumps(record.to_json()))
+    except OSError as error:
+        raise DatasetError(
+            "An episode cannot be added to the episode log.",
+            got=f"{path}: {error.strerror}",
+            allowed="a file that can be written, on a disk with free space",
+            hint="--env.episode_log=FILE on another disk",
+        ) from error
+
+
+def read_log(path: Path) -> list[EpisodeRecord]:
+    """Reads a log. Skips lines that are cut off or not JSON, and logs a warning that names them.
+
+    Raises:
+        DatasetError: the log is missing, holds no episode, or was written by another version.
+    """
+    advice = f"lerobot-eval --env.type=adamanip_safe --env.episode_log={path} ..."
+    if path.is_dir():
+        is_dataset = (path / "meta").is_dir()
+        raise DatasetError(
+            "This is a dataset, not an episode log." if is_dataset else "This is a folder, not an episode log.",
+            got=path,
+            allowed="a file that lerobot-eval --env.episode_log=FILE wrote",
+            hint=f"adamanip stats {path}" if is_dataset else f"a file in {path}",
+        )
+    try:
+        lines = path.read_text(encoding="utf-8", errors="replace").split("\n")
+    except OSError as error:
+        raise DatasetError(
+            "Cannot read the episode log.", got=f"{path}: {error}", allowed="a file of JSON lines", hint=advice
+        ) from error
+    records, damaged = list[EpisodeRecord](), list[int]()
+    for number, line in enumerate(lines, start=1):
+        if not line.strip():
+            continue
+        try:
+            records.append(EpisodeRecord.from_json(json_fields.parse(line)))
+        except json.JSONDecodeError:
+            damaged.append(number)
+        except ValueError as error:
+            raise DatasetError(
+                "This is no episode log of this version.",
+                got=f"{path}, line {number}: {error}",
+                allowed="one record per line, as the environments of this version write",
+                hint=f"evaluate again: {advice}",
+            ) from error
+    if not records:
+        what = "This is no episode log." if damaged else "The episode log is empty."
+        raise DatasetError(what, got=path, allowed="at least one episode, as a line of JSON", hint=advice)
+    if damaged:
+        logging.getLogger(__name__).warning(
+            "%s: skipped damaged lines (%s); their episodes are not counted", path, listed(damaged)
+        )
+    return records
+
+
+def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
+    """Returns the records with each episode once: the last one of equal episodes, in order.
+
+    Episodes are equal if seed, object and hidden state are. A seed on seen and on unseen objects is two episodes.
+    """
+    last: dict[tuple[object, ...], EpisodeRecord] = {}
+    for record in records:
+        last.pop(record.identity, None)
+        last[record.identity] = record
+    return list(last.values())
+
+
+def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
+    """Returns the records of each `EpisodeRecord.evaluation` in a log, in order of appearance.
+
+    Scene splits stay separate, even if ``pool`` merges all evaluations.
+    """
+    evaluations: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        evaluations.setdefault((None if pool else record.evaluation, record.split), []).append(record)
+    return list(evaluations.values())
+
+
+def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[EpisodeRecord]:
+    """Returns the first ``count`` episodes of each evaluation and category, as ``lerobot-eval`` counts them.
+
+    LeRobot runs ``ceil(n_episodes / batch_size)`` whole batches with consecutive seeds and counts the ``n_episodes``
+    with the lowest seeds. The log also contains the surplus of the last batch, unless ``--env.logged_seeds`` excludes
+    it.
+    (LeRobot 0.6.1, `lerobot.scripts.lerobot_eval.eval_policy`.)
+    """
+    groups: dict[tuple[object, ...], list[EpisodeRecord]] = {}
+    for record in records:
+        groups.setdefault((record.evaluation, record.category), []).append(record)
+    chosen = []
+    for group in groups.values():
+        seeds = set(sorted({record.given_seed for record in group})[:count])
+        chosen += [record for record in group if record.given_seed in seeds]
+    return chosen
+
+
+def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
+    """Returns the medians of the continuous hidden values by category, to three digits.
+
+    Evaluations are comparable only with equal boundaries: pass the records of all of them.
+    """
+    values: dict[tuple[str, str], list[float]] = {}
+    for record in records:
+        for name, value in record.hidden_state.items():
+            if isinstance(value, float):
+                values.setdefault((record.category, name), []).append(value)
+    return {key: float(f"{statistics.median(several):.3g}") for key, several in values.items()}
+
+
+def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: Boundaries) -> Iterator[str]:
+    """Yields the names of a hidden state's values: ``locked``, ``direction +1``, ``mode 2``, ``turn_range < 1.1``."""
+    for name, value in sorted(hidden.items()):
+        if isinstance(value, bool):
+            yield name if value else ("unlocked" if name == "locked" else f"not {name}")
+        elif isinstance(value, float):
+            boundary = boundaries[category, name]
+            yield f"{name} {'<' if value < boundary else '>='} {boundary:g}"
+        else:
+            yield f"{name} {value:+d}" if name == "direction" else f"{name} {value}"
 
 
 def _object_id(name: str, value: object) -> str:
@@ -171,9 +314,9 @@ def _object_id(name: str, value: object) -> str:
 
 def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
     values = json_fields.either(json_fields.flag, json_fields.number(-1e9, 1e9))
-    found: dict[str, HiddenValue] = json_fields.mapping(_WORD, values, 20)(name, value)
-    json_fields.flag(f"{name}.locked", found.get("locked", False))
-    return found
+    hidden: dict[str, HiddenValue] = json_fields.mapping(_WORD, values, 20)(name, value)
+    json_fields.flag(f"{name}.locked", hidden.get("locked", False))
+    return hidden
 
 
 def _try(name: str, value: object) -> TryMade:
@@ -208,7 +351,7 @@ _RECORD = json_fields.table(
         "joints": json_fields.mapping(_TEXT, json_fields.number(-1e9, 1e9), 50),
         "simulation_version": json_fields.integer(1, 10**6),
         "version": _TEXT,
-        "mechanism_preset": json_fields.choice(tuple(MECHANISM_RULES)),
+        _STORED_RULES: json_fields.choice(tuple(MECHANISM_RULES)),
         "run_id": json_fields.optional(_TEXT),
         "run_label": json_fields.optional(json_fields.text(LABEL, "a label")),
         "evaluation": _COUNT,

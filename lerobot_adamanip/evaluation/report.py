@@ -2,32 +2,96 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
-from lerobot_adamanip.evaluation.groups import (
-    ALL,
-    Boundaries,
-    Group,
-    group_records,
-    hidden_boundaries,
-    without_repeats,
-    worth_showing,
-)
-from lerobot_adamanip.evaluation.metric_values import Mean, encode
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
-from lerobot_adamanip.evaluation.rates import Difference, Rate, difference, rate
-from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.text_format import interval_text
+from lerobot_adamanip.evaluation.rates import Difference, Mean, Rate, difference, encode, rate
+from lerobot_adamanip.evaluation.record import (
+    Boundaries,
+    EpisodeRecord,
+    hidden_boundaries,
+    hidden_names,
+    without_repeats,
+)
+from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
 from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
 
-_MADE_BY = ("simulation_version", "version", "mechanism_rules")
+OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
+_SCENE_SPLITS = ("test", "validation", "train", "other")
 _NO_DATA = frozenset({"-", "0/0"})
+_MADE_BY = ("simulation_version", "version", "mechanism_rules")
 _LIMITS = {"max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses"}
 """Field of a record that decides how hard its episode is -> what a warning calls its values."""
+
+
+@dataclass(frozen=True)
+class Group:
+    """Episodes with a common property.
+
+    Attributes:
+        by: ``all``, ``category``, ``objects``, ``category and objects``, ``scenes`` or ``hidden``.
+        name: ``safe``, ``unseen``, ``safe, unseen``, ``test`` or ``safe: locked``.
+    """
+
+    by: str
+    name: str
+
+    @property
+    def label(self) -> str:
+        """Name in tables and plots."""
+        return f"{self.name} {self.by}" if self.by in ("objects", "scenes") else self.name
+
+
+ALL = Group("all", "all")
+
+
+def groups_of(record: EpisodeRecord, boundaries: Boundaries) -> Iterator[Group]:
+    """Yields every group that an episode belongs to."""
+    objects = record.object_split or "external"
+    yield ALL
+    yield Group("category", record.category)
+    yield Group("objects", objects)
+    yield Group("category and objects", f"{record.category}, {objects}")
+    yield Group("scenes", record.split or "other")
+    for name in hidden_names(record.category, record.hidden_state, boundaries):
+        yield Group("hidden", f"{record.category}: {name}")
+
+
+def group_records(
+    records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None
+) -> dict[Group, list[EpisodeRecord]]:
+    """Returns group -> its episodes: ``all`` first, then sorted by kind of group.
+
+    Args:
+        records: unique episodes.
+        boundaries: see `hidden_boundaries`; by default those of these records.
+    """
+    boundaries = hidden_boundaries(records) if boundaries is None else boundaries
+    groups: dict[Group, list[EpisodeRecord]] = {ALL: []}
+    for record in records:
+        for group in groups_of(record, boundaries):
+            groups.setdefault(group, []).append(record)
+    return {group: groups[group] for group in sorted(groups, key=_order)}
+
+
+def _order(group: Group) -> tuple[int, int, str]:
+    kinds = ("all", "category", "objects", "category and objects", "scenes", "hidden")
+    names = {"objects": OBJECT_SPLITS, "scenes": _SCENE_SPLITS}.get(group.by, ())
+    return (kinds.index(group.by), names.index(group.name) if group.name in names else 0, group.name)
+
+
+def worth_showing(groups: Iterable[Group]) -> list[Group]:
+    """Returns the groups without repeats: with a single category, its group equals ``all``."""
+    groups = list(groups)
+    names = {by: {group.name for group in groups if group.by == by} for by in ("category", "objects", "scenes")}
+    hidden = {by for by in ("category", "scenes") if len(names[by]) < 2}
+    if len(names["category"]) < 2 or len(names["objects"]) < 2:
+        hidden.add("category and objects")
+    return [group for group in groups if group.by not in hidden]
 
 
 @dataclass(frozen=True)
@@ -41,7 +105,7 @@ class EvaluationSummary:
         objects: success by object id.
         made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each
             if evaluations were mixed.
-        versions: installed versions by name; different ones are joined by ``and``.
+        versions: installed versions of each episode, by name.
         limits: field of a record in `_LIMITS` -> values that occur, as text.
     """
 
@@ -50,7 +114,7 @@ class EvaluationSummary:
     groups: Mapping[Group, Metrics]
     objects: Mapping[str, Rate]
     made_by: Mapping[str, tuple[str, ...]]
-    versions: Mapping[str, str]
+    versions: Sequence[Mapping[str, str]]
     limits: Mapping[str, tuple[str, ...]]
 
     @property
@@ -69,17 +133,22 @@ class EvaluationSummary:
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-serialisable dictionary, with LeRobot's keys for each success rate."""
-        groups = [
-            {**asdict(group), "success": asdict(found.success), **found.to_json()}
-            for group, found in self.groups.items()
-        ]
-        objects = {
-            name: {"episodes": each.episodes, "failures": each.episodes - each.count}
-            for name, each in self.objects.items()
+        return {
+            **self.overall.to_json(),
+            "episodes": self.episodes,
+            "scenes": self.scenes,
+            "repeats": self.repeats,
+            "groups": [
+                {**asdict(group), "success": asdict(metrics.success), **metrics.to_json()}
+                for group, metrics in self.groups.items()
+            ],
+            "objects": {
+                name: {"episodes": success.episodes, "failures": success.episodes - success.count}
+                for name, success in self.objects.items()
+            },
+            **{f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()},
+            "installed": joined_versions(self.versions),
         }
-        made_by = {f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()}
-        told = {"scenes": self.scenes, "repeats": self.repeats, "groups": groups, "objects": objects}
-        return {**self.overall.to_json(), "episodes": self.episodes, **told, **made_by, "installed": self.versions}
 
 
 def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = None) -> EvaluationSummary:
@@ -96,11 +165,11 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
     return EvaluationSummary(
         episodes=len(kept),
         repeats=len(records) - len(kept),
-        groups={group: measure(chosen) for group, chosen in group_records(kept, boundaries).items()},
-        objects={name: rate(sum(each), len(each)) for name, each in sorted(objects.items())},
-        made_by={name: tuple(sorted({str(getattr(each.provenance, name)) for each in kept})) for name in _MADE_BY},
-        versions=joined_versions(each.provenance.versions for each in kept),
-        limits={name: tuple(sorted({str(getattr(each, name)) for each in kept})) for name in _LIMITS},
+        groups={group: measure(part) for group, part in group_records(kept, boundaries).items()},
+        objects={name: rate(sum(successes), len(successes)) for name, successes in sorted(objects.items())},
+        made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
+        versions=[record.provenance.versions for record in kept],
+        limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
     )
 
 
@@ -122,13 +191,11 @@ class Comparison:
         summaries: by label, with equal boundaries of continuous hidden values.
         differences: of the first from each other one on the same scene split, by group.
         extra_tries: label of another one -> failed tries of the first minus its own, in the scenes that both opened.
-        warnings: mixed or incomparable evaluations.
     """
 
     summaries: Mapping[str, EvaluationSummary]
     differences: tuple[GroupDifference, ...]
     extra_tries: Mapping[str, Mean]
-    warnings: tuple[str, ...]
 
     @property
     def title(self) -> str:
@@ -139,24 +206,28 @@ class Comparison:
     @property
     def groups(self) -> list[Group]:
         """Groups of all evaluations without repeats, in order."""
-        found = [group for summary in self.summaries.values() for group in summary.groups]
-        kinds = list(dict.fromkeys(group.by for group in found))
-        return worth_showing(sorted(dict.fromkeys(found), key=lambda group: kinds.index(group.by)))
+        groups = [group for summary in self.summaries.values() for group in summary.groups]
+        kinds = list(dict.fromkeys(group.by for group in groups))
+        return worth_showing(sorted(dict.fromkeys(groups), key=lambda group: kinds.index(group.by)))
 
-    def rows(self) -> Iterator[list[str]]:
-        """Yields table rows: a name, and one cell per evaluation."""
-        found = list(self.summaries.values())
-        yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in found)]
+    def table(self) -> str:
+        """Returns a table with one column per evaluation, padded for a terminal."""
+        return markdown_table(["", *self.summaries], self._rows(), align=True)
+
+    def _rows(self) -> Iterator[list[str]]:
+        summaries = list(self.summaries.values())
+        yield ["episodes", *(f"{summary.episodes} on {summary.scenes} scenes" for summary in summaries)]
         for group in self.groups:
-            yield [group.label, *(interval_text(summary.success(group)) for summary in found)]
+            yield [group.label, *(interval_text(summary.success(group)) for summary in summaries)]
         rows = [
-            [metric.title, *(summary.overall.show(name) for summary in found)]
+            [metric.title, *(summary.overall.show(name) for summary in summaries)]
             for name, metric in METRICS.items()
             if name not in ("success", "hidden")  # the groups show both
         ]
         for group in self.groups:
             if group.by in ("category", "hidden"):
-                cells = [each.groups[group].show("wasted_tries") if group in each.groups else "-" for each in found]
+                parts = [summary.groups.get(group) for summary in summaries]
+                cells = ["-" if metrics is None else metrics.show("wasted_tries") for metrics in parts]
                 rows.append([f"wasted tries, {group.label}", *cells])
         yield from (row for row in rows if not set(row[1:]) <= _NO_DATA)
 
@@ -175,12 +246,42 @@ class Comparison:
                 yield f"{next(iter(self.summaries))} - {label}, failed tries in the {scenes}: {extra.value:+.2f}"
         for label, summary in self.summaries.items():
             failed = [
-                f"{name} {each.episodes - each.count}/{each.episodes}"
-                for name, each in summary.objects.items()
-                if each.count < each.episodes
+                f"{name} {success.episodes - success.count}/{success.episodes}"
+                for name, success in summary.objects.items()
+                if success.count < success.episodes
             ]
             yield f"Failures by object, {label}: {', '.join(failed) or 'none'}"
-        yield from (f"Warning: {warning}" for warning in self.warnings)
+        yield from (f"Warning: {warning}" for warning in self.warnings())
+
+    def warnings(self) -> Iterator[str]:
+        """Yields warnings about mixed or incomparable evaluations."""
+        summaries = self.summaries.values()
+        for label, summary in self.summaries.items():
+            if " and " in summary.scenes:
+                yield f"{label}: {summary.scenes} scenes are mixed; a number is of one split"
+            elif summary.scenes != "test":
+                yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
+            if "train" in summary.scenes:
+                yield f"{label}: scenes that demonstrations are recorded in are among these"
+            for rules in summary.made_by["mechanism_rules"]:
+                if line := unchanged_rules(map(category_of, summary.objects), rules):
+                    yield f"{label}: {line}"
+            for name in ("simulation_version", "mechanism_rules"):
+                if len(values := summary.made_by[name]) > 1:
+                    yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(values)}"
+        compared: dict[str, list[tuple[str, ...]]] = {
+            "simulation versions": [summary.made_by["simulation_version"] for summary in summaries],
+            "mechanism rules": [summary.made_by["mechanism_rules"] for summary in summaries],
+            "splits of scenes": [(summary.scenes,) for summary in summaries],
+            **{what: [summary.limits[name] for summary in summaries] for name, what in _LIMITS.items()},
+        }
+        for what, values_by_label in compared.items():
+            if len(set(values_by_label)) > 1:
+                pairs = zip(self.summaries, values_by_label, strict=True)
+                texts = "; ".join(f"{label} {', '.join(values)}" for label, values in pairs)
+                yield f"not to be compared: {what} differ ({texts})"
+        if mixed := mixed_versions(versions for summary in summaries for versions in summary.versions):
+            yield f"measured with different versions installed: {mixed}"
 
     def to_json(self) -> dict[str, Any]:
         """Returns ``evaluations`` (label, metrics, groups as a list), ``differences`` and ``warnings``."""
@@ -191,7 +292,7 @@ class Comparison:
                 for one in self.differences
             ],
             "extra_tries": encode(self.extra_tries),
-            "warnings": list(self.warnings),
+            "warnings": list(self.warnings()),
         }
 
 
@@ -211,44 +312,14 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         for group in reference.groups
         if group in summary.groups
     )
-    mine, *theirs = (_failed_tries(records) for records in evaluations.values())
-    extra = {
-        label: Mean(sum(mine[scene] - tries[scene] for scene in both), len(both))
-        for label, tries in zip(list(evaluations)[1:], theirs, strict=True)
-        for both in [mine.keys() & tries.keys()]
+    failed_tries = {
+        label: {record.identity: record.failed_tries for record in without_repeats(records) if record.success}
+        for label, records in evaluations.items()
     }
-    return Comparison(summaries, differences, extra, tuple(warnings_of(summaries)))
-
-
-def _failed_tries(records: Sequence[EpisodeRecord]) -> dict[tuple[object, ...], int]:
-    """Returns scene -> failed tries of the successes."""
-    return {each.identity: each.failed_tries for each in without_repeats(records) if each.success}
-
-
-def warnings_of(summaries: Mapping[str, EvaluationSummary]) -> Iterator[str]:
-    """Yields warnings about mixed or incomparable evaluations."""
-    for label, summary in summaries.items():
-        if " and " in summary.scenes:
-            yield f"{label}: {summary.scenes} scenes are mixed; a number is of one split"
-        elif summary.scenes != "test":
-            yield f"{label}: no test result, but one on {summary.scenes} scenes; lerobot-eval --env.split=test"
-        if "train" in summary.scenes:
-            yield f"{label}: scenes that demonstrations are recorded in are among these"
-        for rules in summary.made_by["mechanism_rules"]:
-            if line := unchanged_rules(map(category_of, summary.objects), rules):
-                yield f"{label}: {line}"
-        for name in ("simulation_version", "mechanism_rules"):
-            if len(found := summary.made_by[name]) > 1:
-                yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(found)}"
-    compared: list[tuple[str, list[tuple[str, ...]]]] = [
-        ("simulation versions", [summary.made_by["simulation_version"] for summary in summaries.values()]),
-        ("mechanism rules", [summary.made_by["mechanism_rules"] for summary in summaries.values()]),
-        ("splits of scenes", [(summary.scenes,) for summary in summaries.values()]),
-        *((what, [summary.limits[name] for summary in summaries.values()]) for name, what in _LIMITS.items()),
-    ]
-    for what, sets in compared:
-        if len(set(sets)) > 1:
-            told = "; ".join(f"{label} {', '.join(one)}" for label, one in zip(summaries, sets, strict=True))
-            yield f"not to be compared: {what} differ ({told})"
-    if mixed := mixed_versions(summary.versions for summary in summaries.values()):
-        yield f"measured with different versions installed: {mixed}"
+    extra = {}
+    for label, _ in others:
+        shared = failed_tries[first].keys() & failed_tries[label].keys()
+        extra[label] = Mean(
+            sum(failed_tries[first][scene] - failed_tries[label][scene] for scene in shared), len(shared)
+        )
+    return Comparison(summaries, differences, extra)

@@ -1,8 +1,10 @@
-"""Text formatting of reports and pages: Markdown tables, rates with intervals, durations."""
+"""Text formatting of reports and pages: Markdown tables, CSV, rates with intervals, durations."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import csv
+import io
+from collections.abc import Iterable, Mapping, Sequence
 
 from lerobot_adamanip.evaluation.rates import Rate
 
@@ -31,6 +33,11 @@ def interval_text(share: Rate) -> str:
     return f"{share.count}/{share.episodes}: {100 * share.rate:.0f} % [{100 * share.low:.1f}, {100 * share.high:.1f}]"
 
 
+def percent_text(share: float | None) -> str:
+    """Returns ``90.5 %``; ``-`` for None."""
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
 def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], *, align: bool = False) -> str:
     """Returns a Markdown table; ``align`` pads its columns for a terminal."""
     lines = [list(titles), *map(list, rows)]
@@ -41,3 +48,13 @@ def markdown_table(titles: Sequence[str], rows: Iterable[Sequence[str]], *, alig
     lines.insert(1, ["-" * width for width in widths])
     padded = ([cell.ljust(width) for cell, width in zip(cells, widths, strict=True)] for cells in lines)
     return "\n".join(f"| {' | '.join(cells)} |" for cells in padded)
+
+
+def csv_table(lines: Sequence[Mapping[str, object]]) -> str:
+    """Returns lines as CSV with a column for each name that occurs."""
+    text = io.StringIO()
+    columns = dict.fromkeys(name for line in lines for name in line)
+    writer = csv.DictWriter(text, list(columns), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(lines)
+    return text.getvalue()

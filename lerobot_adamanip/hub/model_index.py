@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.rates import success_summary
-from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result, rows_of_records
+from lerobot_adamanip.evaluation.record import read_log
+from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
 from lerobot_adamanip.evaluation.text_format import markdown_table, words
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -48,7 +48,7 @@ def _result_of_log(path: Path, command: str | None) -> ResultFile:
         )
     labels = {record.provenance.run_label for record in records} - {None}
     subject = " / ".join(sorted(map(str, labels))) or "policy"
-    return policy_result(rows_of_records(records, subject), records, title="success", command=command)
+    return policy_result({subject: records}, title="success", command=command)
 
 
 def results_table(results: Sequence[ResultFile]) -> str:

@@ -12,10 +12,9 @@ from typing import Any
 
 from records import record
 
-from lerobot_adamanip.benchmark.cells import Cell, all_cells
 from lerobot_adamanip.benchmark.declaration import Declaration, parse_declaration
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
-from lerobot_adamanip.benchmark.plan import KeyVersions
+from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells
 from lerobot_adamanip.benchmark.run import BenchmarkRun, CellState
 from lerobot_adamanip.evaluation.provenance import Origin
 
@@ -133,7 +132,7 @@ def cells_of(made: BenchmarkRun) -> list[Cell]:
 
 def results(root: Path) -> dict[str, Any]:
     """File name -> content of the results in a benchmark's folder, less what is not the same every time."""
-    found = {path.name: json.loads(path.read_text()) for path in sorted((root / "cells").iterdir())}
-    for each in found.values():
-        del each["costs"]
-    return found
+    contents = {path.name: json.loads(path.read_text()) for path in sorted((root / "cells").iterdir())}
+    for content in contents.values():
+        del content["seconds"], content["machine"], content["run"]["costs"]
+    return contents

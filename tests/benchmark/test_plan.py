@@ -4,37 +4,40 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shlex
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import pytest
 from benchmark_helpers import SCALE, VERSIONS, content, declared, with_scale
 
-from lerobot_adamanip.benchmark.cells import Cell, all_cells, select_cells
-from lerobot_adamanip.benchmark.command_options import evaluation_options, option
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
-    EVALUATE,
     TRAIN,
+    Cell,
     KeyVersions,
     Step,
+    all_cells,
+    evaluation_options,
     last_checkpoint,
     named_steps,
     options_key,
     plan,
+    select_cells,
 )
 from lerobot_adamanip.benchmark.policies import policy_package
 from lerobot_adamanip.catalog import parse_object_selection, seen_objects
 from lerobot_adamanip.cli.collect import CollectCommand
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.evaluation.results import EVALUATE, command_options
 from lerobot_adamanip.util.errors import ConfigurationError
 
-CURVE = {
-    "method": "ours", "numbers": [0, 1, 3], "none": "static", "categories": ["safe"], "splits": ["seen"],
-    "scales": [SCALE],
-}  # fmt: skip
+
+def option(command: Iterable[str], name: str) -> str:
+    return command_options(shlex.join(command))[name]
 
 
 def cell(method: str = "ours", objects: str = "seen", **changes: Any) -> Cell:
@@ -64,18 +67,12 @@ def test_cells_are_all_combinations_each_once() -> None:
     declaration = read_declaration()
     for scale, chosen in declaration.scales.items():
         cells = all_cells(declaration, scale)
-        table = [each for each in cells if each.trials is None]
         methods = declaration.methods_of(scale)
         trainings = sum(len(chosen.seeds) if method.is_trained else 1 for method in methods.values())
-        assert len(table) == trainings * len(chosen.categories) * len(chosen.splits)
+        assert len(cells) == trainings * len(chosen.categories) * len(chosen.splits)
         assert len({each.name for each in cells}) == len(cells)
-        curve = [each for each in cells if each.trials is not None]
-        assert len(curve) == (7 * 2 * len(chosen.seeds) if scale in ("cpu", "full") else 0)
     cpu = all_cells(declaration, "cpu")
-    assert sum(each.trials is None for each in cpu) == (8 + 2) * len(CATEGORIES) * 2, (
-        "the table, and what the memory is worth"
-    )
-    order = [each.category for each in cpu if each.trials is None]
+    order = [each.category for each in cpu]
     assert order == sorted(order, key=list(CATEGORIES).index), "a category is finished before the next begins"
 
 
@@ -164,8 +161,8 @@ def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     made = parse_command("expert", test.command[2:])
     assert (made.expert, made.trials, made.seed, made.episodes) == ("static", 2, 7, 5)
     assert str(made.episode_log.parent) == test.product
-    policy = evaluation_options(steps(declaration)[EVALUATE].command)
-    expert = evaluation_options(test.command)
+    policy = evaluation_options(shlex.join(steps(declaration)[EVALUATE].command))
+    expert = evaluation_options(shlex.join(test.command))
     assert {name: policy[name] for name in expert if name != "--env.episode_log"} == {
         name: value for name, value in expert.items() if name != "--env.episode_log"
     }
@@ -257,10 +254,10 @@ def test_what_a_step_reads_is_what_another_made() -> None:
 
 def test_results_that_are_kept_are_of_what_is_declared() -> None:
     """Keys hold commands: an option that is called otherwise now must not change them."""
-    declaration, folder = read_declaration(), Path(__file__).parents[2] / "results" / "benchmark" / "cpu"
-    stored = {path.stem: json.loads(path.read_text())["options"] for path in folder.glob("*.json")}
+    declaration, folder = read_declaration(), Path(__file__).parents[2] / "results" / "benchmark" / "paper"
+    stored = {path.stem: json.loads(path.read_text())["run"]["options"] for path in folder.glob("*.json")}
     assert stored
-    keys = {each.name: options_key(each, declaration, "cpu") for each in all_cells(declaration, "cpu")}
+    keys = {each.name: options_key(each, declaration, "paper") for each in all_cells(declaration, "paper")}
     assert stored == {name: keys[name] for name in stored}
 
 
@@ -337,17 +334,6 @@ def test_keys_follow_the_cell() -> None:
     assert changed_kinds(which=cell(seed=1001)) == TRAINING
     assert changed_kinds(which=cell(objects="unseen")) == TEST
     assert changed_kinds(which=cell(category="bottle")) == EVERYTHING
-
-
-def test_the_curve_over_trials_shares_what_the_table_has() -> None:
-    declaration = declared(trials=CURVE)
-    table = keys(declaration=declaration)
-    assert keys(declaration=declaration, which=cell(trials=1)) == table
-    none = keys(declaration=declaration, which=cell(trials=0))
-    assert none[COLLECT] == keys(declaration=declaration, which=cell("ours_on_static"))[COLLECT]
-    three = steps(declaration, which=cell(trials=3))
-    assert option(three[COLLECT].command, "--trials") == "3"
-    assert three[COLLECT].key not in (table[COLLECT], none[COLLECT])
 
 
 def test_the_options_key_knows_no_versions() -> None:

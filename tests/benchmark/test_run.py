@@ -32,13 +32,21 @@ from benchmark_helpers import (
 from lerobot_adamanip.benchmark import run
 from lerobot_adamanip.benchmark.command import begin_command, end_command
 from lerobot_adamanip.benchmark.plan import plan
-from lerobot_adamanip.benchmark.result import read_cell
+from lerobot_adamanip.evaluation.results import CellRun, read_result
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 # What is forked here runs nothing of the threads that other tests' libraries have left.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 DEATHS, PAUSE = 12, 0.002
+
+
+def run_of(path: Path) -> CellRun:
+    run = read_result(path).run
+    assert run is not None
+    return run
+
+
 TRAINED = ["adamanip", "lerobot-train", "lerobot-eval", "lerobot-eval"]
 
 
@@ -63,20 +71,24 @@ def test_cells_share_demonstrations_and_trainings(tmp_path: Path) -> None:
 def test_a_result_says_what_made_it(tmp_path: Path) -> None:
     made = benchmark(tmp_path / "out", FakeRunner(tmp_path))
     run_all(made)
-    found = read_cell(tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json")
-    assert list(found.steps) == ["collect", "train", "evaluate"]
-    assert f"--dataset.root=demonstrations/{found.steps['collect'].key} " in found.steps["train"].command
-    assert "--seed=1000" in found.steps["train"].command
-    assert found.scene_seeds == (1000, 1004)
-    numbers = found.numbers
+    found = read_result(tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json")
+    run = run_of(tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json")
+    assert list(run.steps) == ["collect", "train", "evaluate"]
+    assert f"--dataset.root=demonstrations/{run.steps['collect'].key} " in run.steps["train"].command
+    assert "--seed=1000" in run.steps["train"].command
+    assert found.command == run.steps["evaluate"].command
+    assert (found.scenes, found.seeds) == ("test", (1000, 1004))
+    (row,) = found.rows
+    assert (row.subject, row.category, row.objects) == ("Ours", "safe", "unseen")
+    numbers = row.metrics
     assert numbers.success.episodes == 5
     assert sum((numbers.key_frames or {}).values()) == numbers.success.count
     assert sum(each.episodes for name, each in (numbers.hidden or {}).items() if name.endswith("locked")) == 5
-    assert (found.simulation_version, found.data_version) == (VERSIONS.simulation, VERSIONS.data)
+    assert (found.simulation_version, run.data_version) == (VERSIONS.simulation, VERSIONS.data)
     assert found.commit == made.origin.commit
     assert found.all_versions == made.origin.versions
-    assert {cost.begun for cost in found.costs.values()} == {1}
-    assert found.costs["train"].machine == {"cores": 2, "gpu": False}
+    assert {cost.begun for cost in run.costs.values()} == {1}
+    assert run.costs["train"].machine == found.machine == {"cores": 2, "gpu": False}
     text = (tmp_path / "out" / "cells" / "ours-safe-unseen-1000.json").read_text()
     assert str(tmp_path) not in text
 
@@ -92,7 +104,7 @@ def test_rounds_of_corrections_go_on_after_a_death(tmp_path: Path) -> None:
         wait_for_the_orphan(root)
         run_all(benchmark(root, FakeRunner(tmp_path), corrected))
         assert results(root) == results(tmp_path / "whole")
-    found = read_cell(tmp_path / "whole" / "cells" / "ours-safe-seen-1000.json")
+    found = run_of(tmp_path / "whole" / "cells" / "ours-safe-seen-1000.json")
     assert list(found.costs) == list(found.steps)
     assert list(found.steps)[2:6] == ["correct", "merge", "train_2", "correct_2"]
 
@@ -106,7 +118,7 @@ def test_several_at_once_come_to_the_same(tmp_path: Path, whole: dict[str, Any],
     assert results(tmp_path / "out") == whole
     assert len(runner.called) == 10, "what cells share is made once"
     assert 1 < runner.most_at_once <= jobs
-    costs = [read_cell(path).costs["evaluate"] for path in (tmp_path / "out" / "cells").iterdir()]
+    costs = [run_of(path).costs["evaluate"] for path in (tmp_path / "out" / "cells").iterdir()]
     assert {(each.begun, each.machine["cores"]) for each in costs} == {(1, 2 // min(jobs, 2))}
     assert set(runner.threads) == {1}
 
@@ -301,7 +313,7 @@ def test_a_log_of_another_version_or_too_few_episodes_is_no_result(tmp_path: Pat
     fewer["untrained"]["evaluate"] = ["--eval.batch_size=1", "--eval.n_episodes=4"]
     states = run_all(benchmark(tmp_path / "fewer", runner, declared(methods=fewer)))
     assert states[0].result is not None
-    assert states[0].result.numbers.success.episodes == 4, "a method's own options win"
+    assert states[0].result.rows[0].metrics.success.episodes == 4, "a method's own options win"
 
 
 # Programs ---------------------------------------------------------------------------------------------------------

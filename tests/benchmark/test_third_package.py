@@ -13,12 +13,11 @@ from pathlib import Path
 import pytest
 from benchmark_helpers import SCALE, FakeRunner, benchmark, declared
 
-from lerobot_adamanip.benchmark.cells import select_cells
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
-from lerobot_adamanip.benchmark.packages import METHODS_GROUP, with_packages
+from lerobot_adamanip.benchmark.declaration import METHODS_GROUP, PAPER_TABLE, with_packages
+from lerobot_adamanip.benchmark.plan import select_cells
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import benchmark_page
-from lerobot_adamanip.benchmark.result import read_cells
+from lerobot_adamanip.evaluation.results import read_results
 from lerobot_adamanip.util.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -63,11 +62,12 @@ def test_it_is_in_the_table_by_its_entry_point_alone(tmp_path: Path, monkeypatch
     made = benchmark(tmp_path / "out", FakeRunner(tmp_path), declaration)
     wanted = select_cells(declaration, SCALE, methods=("hold_still",))
     assert [each.state for each in made.run(wanted)] == ["done"] * 2
-    results = read_cells(made.folder.cells)
-    assert "--policy.type=hold_still --policy.gripper=0.5" in results[0].steps["train"].command
+    results = list(read_results(made.folder.cells).values())
+    assert results[0].run is not None
+    assert "--policy.type=hold_still --policy.gripper=0.5" in results[0].run.steps["train"].command
     for known in (declaration, before):  # whoever reads the files need not have the package
         page = benchmark_page(make_report(results, known, SCALE))
-        assert re.search(r"^\| Hold still \(lerobot_policy_hold_still\), seen \| [\d.]+ \|", page, re.MULTILINE)
+        assert re.search(r"^\| Hold still \(lerobot_policy_hold_still\), seen \| [\d.]+/[\d.]+ \|", page, re.MULTILINE)
 
 
 @pytest.mark.nightly

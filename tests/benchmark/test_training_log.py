@@ -8,10 +8,11 @@ from pathlib import Path
 import pytest
 from benchmark_helpers import SCALE, FakeRunner, benchmark, declared, run_all
 
-from lerobot_adamanip.benchmark.budget import budget_table, mean_losses
+from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.report import make_report
-from lerobot_adamanip.benchmark.report_plots import plot_report
-from lerobot_adamanip.benchmark.training_log import LOGGED, TrainingLog, read_training_log
+from lerobot_adamanip.benchmark.report_text import budget_table
+from lerobot_adamanip.benchmark.run import read_training_log
+from lerobot_adamanip.evaluation.results import LOGGED, TrainingLog
 
 LINE = (
     "Training:  5%| 1/20 [00:12<03:43]INFO 2026-11-27 ot_train.py:641 step:1 smpl:10K loss:{:.3f} grdn:5.7 lr:6e-04\r"
@@ -48,17 +49,17 @@ def test_the_budget_counts_what_a_method_was_given(tmp_path: Path) -> None:
     results = [each.result for each in run_all(benchmark(tmp_path, FakeRunner(tmp_path), declaration)) if each.result]
     log = TrainingLog(parameters=2_500_000, losses=(2.0,) * (LOGGED - 4) + (1.8,) * 4)
     cost = {"seconds": 120.0, "machine": {"cores": 2, "gpu": False}}
-    results = [
-        dataclasses.replace(
-            each,
-            trainings=dict.fromkeys((name for name in each.steps if name.startswith("train")), log),
-            costs={name: dataclasses.replace(paid, **cost) for name, paid in each.costs.items()},
+    for number, result in enumerate(results):
+        assert result.run is not None
+        run = dataclasses.replace(
+            result.run,
+            trainings=dict.fromkeys((name for name in result.run.steps if name.startswith("train")), log),
+            costs={name: dataclasses.replace(paid, **cost) for name, paid in result.run.costs.items()},
         )
-        for each in results
-    ]
+        results[number] = dataclasses.replace(result, run=run)
     report = make_report(results, declaration, SCALE)
-    assert mean_losses(report, "ours") == pytest.approx([1.0] * (LOGGED - 4) + [0.9] * 4), "of the loss at the start"
-    assert mean_losses(report, "untrained") == []
+    assert report.mean_losses("ours") == pytest.approx([1.0] * (LOGGED - 4) + [0.9] * 4), "of the loss at the start"
+    assert report.mean_losses("untrained") == []
     assert "losses.png" in {path.name for path in plot_report(report, tmp_path)}
     table = budget_table(report)
     (row,) = (line for line in table.splitlines() if line.startswith("| Ours"))

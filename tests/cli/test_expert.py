@@ -12,8 +12,8 @@ from envs_helpers import SMALL
 from lerobot_adamanip import experts
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract.keyframes import KeyFrames
-from lerobot_adamanip.evaluation.log import read_log
-from lerobot_adamanip.evaluation.tries import within_best_tries
+from lerobot_adamanip.evaluation.metrics import within_best_tries
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 SCENES, FIRST = 4, 700_000

@@ -153,9 +153,9 @@ def test_rules_that_change_nothing_are_told(logs: tuple[str, str], capsys: pytes
 @pytest.mark.parametrize("name", ["max_key_frames", "max_failed_tries", "poses"])
 def test_other_limits_are_compared_with_a_warning(name: str) -> None:
     records = {label: [record(seed=1)] for label in ("one", "other")}
-    assert not [each for each in compare(records).warnings if "not to be compared" in each]
+    assert not [each for each in compare(records).warnings() if "not to be compared" in each]
     object.__setattr__(records["other"][0], name, 3)
-    (warning,) = [each for each in compare(records).warnings if "not to be compared" in each]
+    (warning,) = [each for each in compare(records).warnings() if "not to be compared" in each]
     assert "(one " in warning
     assert "other 3)" in warning
 

@@ -25,7 +25,7 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
-from lerobot_adamanip.evaluation.log import append_record
+from lerobot_adamanip.evaluation.record import append_record
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import read_results
 from lerobot_adamanip.hub.scan import Names, scan

@@ -19,7 +19,7 @@ from lerobot_adamanip.datasets.attempts import AttemptRecord, count, grouped_by_
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.stats import read_stats
-from lerobot_adamanip.evaluation.groups import Group
+from lerobot_adamanip.evaluation.report import Group
 from lerobot_adamanip.util.errors import DatasetError
 
 

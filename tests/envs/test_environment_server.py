@@ -17,7 +17,7 @@ from documents import blocks
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.episode.options import TIME_LIMIT
-from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.environment_server import create_adamanip_envs
 

@@ -17,8 +17,7 @@ from records import record
 from torch import nn
 
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.evaluation.groups import first_episodes
-from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.record import first_episodes, read_log
 from lerobot_env_adamanip import vector
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig, AdaManipSuiteEnvConfig
 from lerobot_env_adamanip.keyframe_env import EpisodeLog

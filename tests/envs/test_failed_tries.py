@@ -13,8 +13,8 @@ from envs_helpers import SMALL
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES
 from lerobot_adamanip.episode.rollout import rollout
+from lerobot_adamanip.evaluation.metrics import within_best_tries
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.tries import within_best_tries
 from lerobot_adamanip.experts import KeyFrames, make_expert
 from lerobot_adamanip.experts.lamp import MOTIONS, _attempt
 from lerobot_adamanip.experts.primitives import Hand

@@ -12,7 +12,7 @@ from envs_helpers import SMALL, digest, expert_episode, grasp_handle, in_fresh_p
 
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.seeds import split_of
-from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.experts import Phase
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
 from lerobot_env_adamanip.keyframe_env import EpisodeLog, KeyframeEnv

@@ -13,7 +13,7 @@ from lerobot.envs.factory import make_env
 from lerobot.scripts.lerobot_eval import rollout
 from torch import Tensor, nn
 
-from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.experts import make_expert
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv

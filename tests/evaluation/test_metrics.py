@@ -11,21 +11,17 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records import record
 
-from lerobot_adamanip.evaluation.groups import (
-    ALL,
-    Group,
-    first_episodes,
-    group_records,
-    hidden_boundaries,
-    split_evaluations,
-    without_repeats,
-    worth_showing,
-)
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure, pool
 from lerobot_adamanip.evaluation.plots import cumulative_rates
 from lerobot_adamanip.evaluation.rates import SUCCESS_KEYS
-from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.evaluation.report import compare, summarise, warnings_of
+from lerobot_adamanip.evaluation.record import (
+    EpisodeRecord,
+    first_episodes,
+    hidden_boundaries,
+    split_evaluations,
+    without_repeats,
+)
+from lerobot_adamanip.evaluation.report import ALL, Group, compare, group_records, summarise, worth_showing
 
 OBJECTS = ["safe_000", "safe_035", "safe_036", "safe_n002", "lamp_003", "bottle_001", "microwave_000", "door_100"]
 HIDDEN = {
@@ -229,7 +225,7 @@ def test_the_first_episodes_are_those_that_lerobot_counts(episodes: int, batch: 
 
 def test_what_must_not_be_mixed_or_compared_is_said() -> None:
     def said(*groups: list[EpisodeRecord]) -> str:
-        return "\n".join(warnings_of({str(k): summarise(group) for k, group in enumerate(groups)}))
+        return "\n".join(compare({str(k): group for k, group in enumerate(groups)}).warnings())
 
     plain = [record(seed=1), record(seed=2)]
     assert said(plain, plain) == ""

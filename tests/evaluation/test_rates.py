@@ -8,7 +8,6 @@ import json
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scipy.stats import binomtest
 
 from lerobot_adamanip.evaluation.rates import (
     SUCCESS_KEYS,
@@ -23,31 +22,12 @@ SHARES = st.integers(1, 400).flatmap(lambda n: st.tuples(st.integers(0, n), st.j
 
 
 @given(SHARES)
-def test_wilson_agrees_with_scipy_and_holds_the_share(share: tuple[int, int]) -> None:
+def test_wilson_holds_the_share_and_is_symmetric_in_success_and_failure(share: tuple[int, int]) -> None:
     count, episodes = share
     low, high = wilson_interval(count, episodes)
-    known = binomtest(count, episodes).proportion_ci(method="wilson")
-    assert (low, high) == pytest.approx((known.low, known.high), abs=1e-9)
     assert 0 <= low <= count / episodes <= high <= 1
-
-
-@given(SHARES)
-def test_wilson_is_symmetric_in_success_and_failure(share: tuple[int, int]) -> None:
-    count, episodes = share
-    low, high = wilson_interval(count, episodes)
     mirrored = wilson_interval(episodes - count, episodes)
     assert mirrored == pytest.approx((1 - high, 1 - low), abs=1e-12)
-
-
-@given(SHARES, st.integers(2, 9))
-def test_wilson_narrows_with_more_episodes_and_widens_with_confidence(share: tuple[int, int], times: int) -> None:
-    count, episodes = share
-
-    def width(scale: int, z: float = 1.96) -> float:
-        low, high = wilson_interval(scale * count, scale * episodes, z)
-        return high - low
-
-    assert width(times) < width(1) < width(1, 2.58)
 
 
 def test_no_episodes_tell_nothing() -> None:

@@ -11,8 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records import record
 
-from lerobot_adamanip.evaluation.log import append_record, new_run_id, read_log
-from lerobot_adamanip.evaluation.record import LABEL, EpisodeRecord
+from lerobot_adamanip.evaluation.record import LABEL, EpisodeRecord, append_record, new_run_id, read_log
 from lerobot_adamanip.util.errors import DatasetError
 
 GOOD: dict[str, Any] = record(locked=True, seed=1000, blocked_pulls=1, object_id="safe_003").to_json()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
 import subprocess
 from pathlib import Path
@@ -14,7 +13,7 @@ from benchmark_helpers import FakeRunner, benchmark, declared, run_all
 from loopback_hub import LoopbackHub
 
 from lerobot_adamanip.benchmark.plan import FOLDERS, last_checkpoint
-from lerobot_adamanip.benchmark.result import read_cell, write_cell
+from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -25,7 +24,9 @@ def folder(published: Path, trained: Path, tmp_path: Path) -> Path:
     root = tmp_path / "bench"
     for state in run_all(benchmark(root, FakeRunner(tmp_path / "fake"), declared())):
         assert state.result is not None
-    step = read_cell(root / "cells" / "ours-safe-seen-1000.json").steps
+    run = read_result(root / "cells" / "ours-safe-seen-1000.json").run
+    assert run is not None
+    step = run.steps
     for name, product in (("collect", published), ("train", trained)):
         made = root / FOLDERS[name] / step[name].key
         made.rename(made.with_name(f"fake-{name}"))
@@ -49,10 +50,10 @@ def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run:
     assert all(each["bytes"] > 0 and each["changed"] for each in printed)
     card = hub.files("models", "someone/tiny-safe")["README.md"].decode()
     for objects in ("seen", "unseen"):
-        cell = read_cell(folder / "cells" / f"ours-safe-{objects}-1000.json")
-        success = cell.numbers.success
+        cell = read_result(folder / "cells" / f"ours-safe-{objects}-1000.json")
+        success = cell.rows[0].metrics.success
         assert f"| Ours | safe | {objects} | paper | {success.count}/{success.episodes}" in card
-        assert cell.steps["evaluate"].command in card
+        assert cell.command in card
     assert "someone/adamanip-safe" in card
     assert not any(each["changed"] for each in json.loads(run(*words).stdout)), "again sends nothing"
 
@@ -62,16 +63,6 @@ def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.Cap
     printed = capsys.readouterr().err
     assert "error: No result of this policy." in printed
     assert "theirs-bottle-seen-1000.json" in printed
-
-
-def test_a_result_on_a_card_is_that_of_its_file(folder: Path) -> None:
-    path = folder / "cells" / "ours-safe-seen-1000.json"
-    cell = dataclasses.replace(read_cell(path), commit="d" * 40, changed=False)
-    write_cell(path, cell)
-    made = publish.result_file(publish.results_of(folder, "ours", "safe", 1000)[0])
-    for name in ("commit", "simulation_version", "versions", "changed", "version", "scenes"):
-        assert getattr(made, name) == getattr(cell, name)
-    assert (made.seeds, made.rows[0].metrics) == (cell.scene_seeds, cell.numbers)
 
 
 def test_whose_it_is_must_be_said() -> None:

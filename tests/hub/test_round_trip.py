@@ -14,7 +14,7 @@ from safetensors import safe_open
 from tiny_training import TINY
 
 from lerobot_adamanip.datasets.cards import check_card
-from lerobot_adamanip.evaluation.log import read_log
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.scan import Names, scan
 from lerobot_adamanip.hub.staging import Staged, stage_model

@@ -1,0 +1,79 @@
+"""Plots of a benchmark's report. Matplotlib is imported when a plot is drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, reported
+from lerobot_adamanip.benchmark.report import BenchmarkReport
+from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, new_figure, save_figure
+from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.text_format import words
+
+_LEGEND_COLUMN_INCH = 3.4
+"""Space for the longest title of a method."""
+
+
+def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
+    """Draws all plots that have data into a folder; returns their paths."""
+    paths = [_plot_success(report, folder)] if report.entries else []
+    lines = {name: report.opened_with(name, report.splits[0]) for name in report.methods}
+    if any(lines.values()):
+        lines = {report.titles[name]: [100 * share for share in shares] for name, shares in lines.items()}
+        title = f"Success within a number of failed tries, {report.scenes} scenes"
+        axes = {
+            "xlabel": "failed tries at most",
+            "ylabel": f"success [%], {report.splits[0]} objects",
+            "ylim": (0, 103),
+        }
+        paths.append(_plot_lines(lines, range(20), title, folder / "tries.png", marker="o", **axes))
+    losses = {report.titles[name]: report.mean_losses(name) for name in report.methods}
+    if any(losses.values()):
+        parts = max(map(len, losses.values()))
+        ends = [100 * (number + 1) / parts for number in range(parts)]
+        title = "Training loss, geometric mean over categories"
+        axes = {"xlabel": "share of the training [%]", "ylabel": "training loss / loss at the start", "yscale": "log"}
+        paths.append(_plot_lines(losses, ends, title, folder / "losses.png", marker="", **axes))
+    return paths
+
+
+def _plot_lines(
+    lines: Mapping[str, Sequence[float]], x: Sequence[float], title: str, path: Path, *, marker: str, **settings: Any
+) -> Path:
+    figure = new_figure(6.5, 4.0)
+    axes = figure.subplots()
+    for name, y in lines.items():
+        if y:
+            axes.plot(x[: len(y)], y, marker=marker, label=name)
+    axes.set(**settings)
+    axes.legend(frameon=False, fontsize=7)
+    save_figure(figure, title, path)
+    return path
+
+
+def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
+    """Draws success with intervals by method and category, one panel per split; dashes mark the paper's values."""
+    methods, categories = report.methods, report.categories_with_results
+    figure = new_figure(max(8.0, 3 + 0.16 * len(methods) * len(categories)), 3.4 * len(report.splits))
+    panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
+    for axes, objects in zip(panels, report.splits, strict=True):
+        bars = {}
+        for number, name in enumerate(methods):
+            entries = [report.entries.get((name, category, objects)) for category in categories]
+            bars[report.titles[name]] = [rate(0, 0) if entry is None else entry.metrics.success for entry in entries]
+            places, width = bar_places(number, len(methods), len(categories))
+            for x, category in zip(places, categories, strict=True):
+                paper = reported(report.paper[name], category) if objects == PAPER_OBJECTS else None
+                if paper is not None:
+                    axes.plot([x - width / 2, x + width / 2], [paper[0]] * 2, "--", color="black", linewidth=1.0)
+        draw_bars(axes, [words(category) for category in categories], bars)
+        axes.set_ylabel(f"success [%], {objects} objects")
+    handles, labels = panels[0].get_legend_handles_labels()
+    columns = max(1, int(figure.get_figwidth() / _LEGEND_COLUMN_INCH))
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+    path = folder / "success.png"
+    dashes = "; dashes: in the paper" if report.beside_paper else ""
+    save_figure(figure, f"Success with 95 % Wilson intervals{dashes}", path)
+    return path
