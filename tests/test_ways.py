@@ -37,7 +37,7 @@ def step_in_mid_episode() -> Way:
 
 WAYS: list[Any] = [
     # One use of the code, the most files, the most functions.
-    pytest.param(step_in_mid_episode, 12, 80, marks=SIMULATED),
+    pytest.param(step_in_mid_episode, 12, 75, marks=SIMULATED),
 ]
 
 

@@ -26,7 +26,7 @@ from lerobot_adamanip.episode.tries import KeyFrameLabeler
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
 from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.util.errors import SimulatorError, UnreachableError, require_choice
+from lerobot_adamanip.util.errors import UnreachableError, require_choice
 from lerobot_env_adamanip.gym_interface import (
     RENDER_MODE,
     action_space,
@@ -220,7 +220,6 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             SIMULATION_VERSION, __version__, rules, run_id, label, versions=installed_versions()
         )
         self._image: NDArray[np.uint8] | None = None
-        self._renders = True
         self.action_space = action_space()
         self.observation_space = observation_space(self.options)
 
@@ -336,18 +335,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         size = self.options.image_size
         if self._image is None:
-            self._image = np.zeros((size, size, 3), np.uint8) if self._episode is None else self._picture()
+            black, episode = np.zeros((size, size, 3), np.uint8), self._episode
+            self._image = black if episode is None else episode.task.cameras.picture()
         return self._image.copy()
-
-    def _picture(self) -> NDArray[np.uint8]:
-        cameras = self.episode.task.cameras
-        if self._renders:
-            try:
-                return cameras.image()
-            except SimulatorError as error:
-                self._renders = False
-                _logger.warning("Videos show shapes without colours: %s", str(error).split("\n")[0])
-        return cameras.shaded_image()
 
     def close(self) -> None:
         """Ends the simulator."""

@@ -74,20 +74,20 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
     for name, feature in (policy.input_features or {}).items():
         if name == POINT_CLOUD and hasattr(policy, "num_points"):
             continue  # uses the first points of a cloud, and checks their number itself
-        wanted, found = tuple(feature.shape), offered.get(name)
-        if found is not None and tuple(found.shape) != wanted:
+        trained, offer = tuple(feature.shape), offered.get(name)
+        if offer is not None and tuple(offer.shape) != trained:
             raise ConfigurationError(
                 f"The policy was trained on {name} of another shape.",
-                got=f"{tuple(found.shape)} from the environments",
-                allowed=f"{wanted}, as {path} was trained",
-                hint=_remedy(name, wanted),
+                got=f"{tuple(offer.shape)} from the environments",
+                allowed=f"{trained}, as {path} was trained",
+                hint=_remedy(name, trained),
             )
-        if found is None and is_image_column(name) and not any(is_image_column(key) for key in offered):
+        if offer is None and is_image_column(name) and not any(is_image_column(key) for key in offered):
             raise ConfigurationError(
                 "The policy sees images, and the environments observe none.",
                 got=f"observations {listed(sorted(offered))}",
-                allowed=f"{name} {wanted}, as {path} was trained",
-                hint=f"--env.observe_images=true {_remedy(name, wanted)}",
+                allowed=f"{name} {trained}, as {path} was trained",
+                hint=f"--env.observe_images=true {_remedy(name, trained)}",
             )
 
 

@@ -30,8 +30,8 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
         SimulatorError: the simulator is not installed.
     """
     require_simulator()
-    made = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
-    return cast("AdaManipTask", made)
+    task = gym.make(CATEGORIES[category].task_id, obs_mode="none", reward_mode="none", **options).unwrapped
+    return cast("AdaManipTask", task)
 
 
 @functools.cache

@@ -26,7 +26,6 @@ from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import thread_limits
 from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.sim.render_device import observes_images
 
 _log = logging.getLogger(__name__)
 
@@ -239,7 +238,6 @@ def make_vector_env(
         *(options.category, options.split, options.objects),
         "" if options.split == "test" else " (for a test result: --env.split=test)",
     )
-    options = options.changed(observe_images=observes_images(options.observe_images))  # once, not in each environment
     makers = [freeze_after_episode_end(functools.partial(_make, options))] * n_envs
     # Simulators in one process would render one after the other; separate processes use all cores.
     return AsyncSimulators(makers) if use_async_envs and n_envs > 1 else SyncSimulators(makers)

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 from typing import Any
 
 import draccus
@@ -148,11 +147,6 @@ def test_bad_options_are_refused_before_a_simulator_starts(wrong: dict[str, Any]
     assert said in str(caught.value)
 
 
-def test_the_command_line_says_what_is_wrong_and_not_that_something_is() -> None:
-    with pytest.raises(draccus.utils.DecodingError, match=r"(?s)Unknown split.*got: .*'dev'"):
-        parsed("--env.split=dev")
-
-
 def test_no_environments_are_refused() -> None:
     with pytest.raises(ConfigurationError, match="number of environments"):
         AdaManipSafeEnvConfig().create_envs(0)
@@ -202,22 +196,6 @@ def test_a_script_gets_no_test_scenes_unless_it_asks() -> None:
     assert {make_env_config(each).split for each in TYPES} == {"validation"}
     assert EnvironmentOptions().split == KeyframeEnv("safe").options.split == "validation"
     assert AdamanipFrankaSimConfig().environment().split == "validation"
-
-
-@pytest.mark.parametrize(("split", "hinted"), [("validation", True), ("train", True), ("test", False)])
-def test_whose_scenes_they_are_is_logged(split: str, hinted: bool, caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.INFO, "lerobot_env_adamanip"):
-        split_of_envs(AdaManipSafeEnvConfig(split=split))
-    (said,) = [each.message for each in caplog.records if "scenes" in each.message]
-    assert f"{split} scenes" in said
-    assert ("--env.split=test" in said) is hinted
-
-
-def test_the_former_split_auto_is_an_error_that_says_what_to_type() -> None:
-    with pytest.raises(
-        draccus.utils.DecodingError, match=r"(?s)got: .*'auto'.*--env.split=validation .*--env.split=test"
-    ):
-        parsed("--env.split=auto")
 
 
 def test_the_suites_categories_have_scenes_of_their_own() -> None:

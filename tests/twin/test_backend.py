@@ -37,7 +37,7 @@ def boxes() -> Iterator[Any]:
 
 @pytest.fixture(scope="module")
 def twin(boxes: Any) -> Iterator[SapienBackend]:
-    backend = SapienBackend(TwinOptions(LOCKED, seed=SEED, image_size=SIZE, lockstep=True), boxes)
+    backend = SapienBackend(TwinOptions(LOCKED, seed=SEED, lockstep=True), boxes)
     backend.connect()
     yield backend
     backend.close()

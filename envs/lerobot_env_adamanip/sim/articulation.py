@@ -41,22 +41,22 @@ def build_object(scene: Any, obj: ArticulatedObject, pose: NDArray[Any]) -> Arti
     links: dict[str, Any] = {}
     material = sapien.physx.PhysxMaterial(FRICTION, FRICTION, 0.0)
     for link in obj.links:
-        made = builder.create_link_builder(links.get(link.parent) if link.parent else None)
-        made.set_name(link.name)
-        made.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
+        built = builder.create_link_builder(links.get(link.parent) if link.parent else None)
+        built.set_name(link.name)
+        built.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
         for shape in link.shapes:
             if shape.visible and scene.can_render():
-                add_visual(made, shape)
+                add_visual(built, shape)
             if shape.collides:
-                _add(made, "collision", "convex_collision_from_file", shape, material)
-        made.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
+                _add(built, "collision", "convex_collision_from_file", shape, material)
+        built.set_mass_and_inertia(link.mass, *_inertia(link.mass, link.shapes))
         if link.joint is not None:
-            _set_joint(made, link.joint)
-        links[link.name] = made
+            _set_joint(built, link.joint)
+        links[link.name] = built
     articulation = builder.build(name=obj.object_id, fix_root_link=True)
     _set_springs(articulation, obj)
-    for made in articulation._objs[0].links if obj.weightless else ():
-        made.disable_gravity = True
+    for body in articulation._objs[0].links if obj.weightless else ():
+        body.disable_gravity = True
     return articulation
 
 

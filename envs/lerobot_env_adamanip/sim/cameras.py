@@ -40,7 +40,7 @@ Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
 """Colour (H, W, 3) RGB and depth (H, W) [mm], 0 for invalid pixels."""
 FARTHEST = 4000
 """Range of the depth camera [mm]."""
-_logger = logging.getLogger(__name__)
+_warn_once = functools.cache(logging.getLogger(__name__).warning)
 
 
 @dataclass
@@ -63,7 +63,6 @@ class Cameras:
     options: EnvironmentOptions
     shader: str
     _rendered: dict[tuple[str, int], RenderedCamera] = field(default_factory=dict)
-    _renders = True
 
     def config(self, name: str = FRONT, size: int | None = None) -> CameraConfig:
         """Returns a camera's configuration, by default for images."""
@@ -82,27 +81,23 @@ class Cameras:
         """Returns a camera's present image (H, W, 3); raises `SimulatorError` if this machine cannot render."""
         return self._scene(self.config(name)).take()
 
-    def shaded_image(self) -> NDArray[np.uint8]:
-        """Returns the front camera's image (H, W, 3) without a renderer: shapes without their own colours."""
-        return shaded_picture(self.config(), self.bodies())
+    def picture(self) -> NDArray[np.uint8]:
+        """Returns the front camera's image (H, W, 3); without a renderer, of shapes without their own colours."""
+        rendered = self._front
+        return rendered.take() if rendered is not None else shaded_picture(self.config(), self.bodies())
 
     def color_and_depth(self, source: str = "render") -> Pair:
         """Returns the front camera's present colour and depth, of one moment.
 
         ``source`` is ``render``, or ``raycast`` for shapes without colours. Without a renderer, always ``raycast``.
         """
-        if source == "render" and self._renders:
-            try:
-                return self._scene(self.config()).color_and_depth()
-            except SimulatorError as error:
-                self._renders = False
-                first = str(error).split("\n")[0]
-                _logger.warning("The front camera uses ray casting, without colours: %s", first)
+        if source == "render" and (rendered := self._front) is not None:
+            return rendered.color_and_depth()
         size = self.options.image_size
         pixels, millimetres = self._wide_rays.pixels()
         depth = np.zeros(size * size, np.uint16)
         depth[pixels] = -millimetres[:, 2]
-        return self.shaded_image(), depth.reshape(size, size)
+        return shaded_picture(self.config(), self.bodies()), depth.reshape(size, size)
 
     @functools.cached_property
     def rays(self) -> RaycastSensor:
@@ -117,6 +112,15 @@ class Cameras:
     def depth_scene(self) -> RenderedCamera:
         """Rendered front camera with the size of `rays`."""
         return self._scene(self.cloud_config)
+
+    @functools.cached_property
+    def _front(self) -> RenderedCamera | None:
+        """Returns the rendered front camera; None, with one warning, if this machine cannot render."""
+        try:
+            return self._scene(self.config())
+        except SimulatorError as error:
+            _warn_once("Videos show shapes without colours: " + str(error).split("\n")[0])
+            return None
 
     def _scene(self, config: CameraConfig) -> RenderedCamera:
         key = config.uid, config.width

@@ -220,17 +220,17 @@ def _drawn_pose(rng: np.random.Generator, spread: Randomization, x: float, y: fl
 def _reachable(
     obj: ArticulatedObject, pose: Array, kinematics: ArmKinematics, reaches: tuple[ReachRequirement, ...], start: Array
 ) -> dict[str, PartAnnotation] | None:
-    found = {}
+    reachable = {}
     for reach in reaches:
         part = obj.part(reach.part).in_frame(pose)
         candidates = [part.rolled(angle) if angle else part for angle in part.rolls]
-        costs = [_cost(each, reach, kinematics) for each in candidates]
+        costs = [_cost(candidate, reach, kinematics) for candidate in candidates]
         best = sorted((cost, k) for k, cost in enumerate(costs) if cost is not None)
         chosen = next((k for _, k in best if approachable(candidates[k].grasp, kinematics, start)), None)
         if chosen is None:
             return None
-        found[reach.part] = candidates[chosen]
-    return found
+        reachable[reach.part] = candidates[chosen]
+    return reachable
 
 
 def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:

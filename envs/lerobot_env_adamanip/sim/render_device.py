@@ -124,8 +124,8 @@ def vulkan_drivers() -> tuple[str, ...]:
     ]
     places = [folder / "vulkan/icd.d" for folder in folders]
     chosen = [path for name in _CHOSEN_DRIVERS for path in _paths(name)]
-    found = chosen or [*places, *_paths("VK_ADD_DRIVER_FILES")]
-    manifests = [path for each in found for path in (sorted(each.glob("*.json")) if each.is_dir() else [each])]
+    searched = chosen or [*places, *_paths("VK_ADD_DRIVER_FILES")]
+    manifests = [file for path in searched for file in (sorted(path.glob("*.json")) if path.is_dir() else [path])]
     return tuple(f"{path} {path.stat().st_mtime_ns}" for path in manifests if path.is_file())
 
 
@@ -156,7 +156,7 @@ def _cache_key() -> str:
 
 def _read(path: Path) -> dict[str, str]:
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-        return {key: value for key, value in found.items() if isinstance(value, str)}
+        answers = json.loads(path.read_text(encoding="utf-8"))
+        return {key: value for key, value in answers.items() if isinstance(value, str)}
     except (OSError, ValueError, AttributeError):
         return {}

@@ -57,7 +57,7 @@ class ObjectScene:
         plinth = (self._build_plinth(scene, plinth_least),) if floor_z > ground_z else ()
         self._plinth = plinth[0].entity if plinth else None
         self.articulation: Articulation = build_object(scene, obj, np.eye(4))
-        entities = {made.entity.name: made.entity for made in self.articulation._objs[0].links}
+        entities = {link.entity.name: link.entity for link in self.articulation._objs[0].links}
         links = [Visible(entities[link.name], link.shapes) for link in obj.links]
         self.visible: tuple[Visible, ...] = (*column, *plinth, *links)
         """All visible bodies except the arm and the ground."""

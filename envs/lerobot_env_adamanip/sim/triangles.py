@@ -68,9 +68,9 @@ def _revolved(profile: Iterable[tuple[float, float]]) -> Triangles:
     rings = np.concatenate([along, outline[:, None, 1:] * around], axis=2).astype(np.float32)
     a, b = rings[:-1], rings[1:]
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
-    made = np.concatenate([np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))])
-    area = np.linalg.norm(np.cross(made[:, 1] - made[:, 0], made[:, 2] - made[:, 0]), axis=1)
-    faceted: Triangles = made[area > 1e-12]
+    facets = np.concatenate([np.stack(three, axis=2).reshape(-1, 3, 3) for three in ((a, b, c), (a, c, d))])
+    area = np.linalg.norm(np.cross(facets[:, 1] - facets[:, 0], facets[:, 2] - facets[:, 0]), axis=1)
+    faceted: Triangles = facets[area > 1e-12]
     return faceted
 
 
@@ -82,15 +82,15 @@ def robot_triangles(urdf: Path) -> Mapping[str, Triangles]:
         SimulatorError: a visual is neither a mesh nor a box.
     """
     links = read_urdf(urdf).links.values()
-    found = {link.name: _joined(_visual(urdf, each) for each in link.visuals) for link in links}
-    return {name: triangles for name, triangles in found.items() if len(triangles)}
+    visuals = {link.name: _joined(_visual(urdf, visual) for visual in link.visuals) for link in links}
+    return {name: triangles for name, triangles in visuals.items() if len(triangles)}
 
 
 @functools.cache
 def robot_outlines(urdf: Path) -> Mapping[str, NDArray[np.float64]]:
     """Returns link name -> corners (N, 3) [m] of the convex hull of its `robot_triangles`."""
     points = {name: triangles.reshape(-1, 3).astype(np.float64) for name, triangles in robot_triangles(urdf).items()}
-    return {name: each[ConvexHull(each).vertices] for name, each in points.items()}
+    return {name: corners[ConvexHull(corners).vertices] for name, corners in points.items()}
 
 
 def _visual(urdf: Path, geometry: Geometry) -> Triangles:

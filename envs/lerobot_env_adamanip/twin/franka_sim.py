@@ -56,7 +56,7 @@ class AdamanipFrankaSim(AdamanipFranka):
         lockstep = config.clock == "lockstep"
         return ArmClient(
             TWIN,
-            TwinOptions(config.environment(), config.seed, config.image_size, config.depth_source, lockstep),
+            TwinOptions(config.environment(), config.seed, config.depth_source, lockstep),
             server=self._server_options(config.fps if lockstep else None),
             frames={FRONT_FRAMES: frame_capacity(config.image_size), SUCCESS_BOX: 64},
             connect_time=START_TIME,
@@ -121,8 +121,8 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def _succeeded(self) -> bool:
         assert self._client is not None
-        found = self._client.frame(SUCCESS_BOX)
-        return found is not None and bool(found[1])
+        success = self._client.frame(SUCCESS_BOX)
+        return success is not None and bool(success[1])
 
     # Episodes --------------------------------------------------------------------------------------------------------
 
@@ -134,11 +134,11 @@ class AdamanipFrankaSim(AdamanipFranka):
     def put_up(self, seed: int) -> None:
         """Resets to the scene of a seed. Raises `RobotError`."""
         assert self._client is not None
-        told = self._client.request(RESET, {"seed": seed}, time_limit=RESET_TIME)
+        scene = self._client.request(RESET, {"seed": seed}, time_limit=RESET_TIME)
         details = self._session.details
         details.pop(OPERATOR_SUCCESS, None)
-        details.update(told)
-        self._calibrated(told)
+        details.update(scene)
+        self._calibrated(scene)
         self._motion.anchor()
         self._stands_at(seed)
 
@@ -156,5 +156,5 @@ class AdamanipFrankaSim(AdamanipFranka):
 
     def _log(self, path: Path, index: int | None) -> None:
         assert self._client is not None
-        told = self._client.request("episode", time_limit=RESET_TIME)
-        files.append_line(path, json.dumps({"episode": index, **told}))
+        result = self._client.request("episode", time_limit=RESET_TIME)
+        files.append_line(path, json.dumps({"episode": index, **result}))

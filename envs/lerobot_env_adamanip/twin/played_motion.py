@@ -61,7 +61,7 @@ class PlayedMotion:
     def step(self, reading: ArmReading, sent: Target, dt: float) -> Target:
         """Returns the next target (10,) from the last sent one. Sets `outcome` at the end."""
         self._elapsed += dt
-        self._seen = [each for each in self._seen if self._elapsed - each[0] <= STILL_TIME + 1e-9]
+        self._seen = [(at, seen) for at, seen in self._seen if self._elapsed - at <= STILL_TIME + 1e-9]
         self._seen.append((self._elapsed, reading))
         if self._arrived is None:
             self._arrived = self._judge_move(reading, sent)

@@ -26,14 +26,12 @@ class TwinOptions:
     Attributes:
         environment: options of the scenes.
         seed: seed of the first episode.
-        image_size: side length of colour and depth [px].
         depth_source: ``render``, or ``raycast`` without colours.
         lockstep: whether only steps advance time; else ticks follow the machine's clock.
     """
 
     environment: EnvironmentOptions
     seed: int = 0
-    image_size: int = 256
     depth_source: str = "render"
     lockstep: bool = False
 

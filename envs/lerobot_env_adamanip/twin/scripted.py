@@ -56,15 +56,15 @@ class AdamanipScripted(TcpTeleop):
         return self._to(wanted, reading, dt)
 
     def _expert(self, session: RobotSession) -> KeyFrames:
-        told = session.details
+        details = session.details
         try:
             return make_expert(
-                told["category"],
+                details["category"],
                 "adaptive",
-                told["annotations"],
-                generator=np.random.default_rng([self.config.seed, int(told["seed"])]),
+                details["annotations"],
+                generator=np.random.default_rng([self.config.seed, int(details["seed"])]),
                 trials=self.config.trials,
-                mechanism_rules=told["mechanism_rules"],
+                mechanism_rules=details["mechanism_rules"],
             )
         except KeyError as missing:
             raise RobotError(

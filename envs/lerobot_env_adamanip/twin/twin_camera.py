@@ -40,7 +40,7 @@ class AdamanipTwin(ThreadedCamera):
 
     def attach(self, client: ArmClient, *, size: int, lockstep: bool) -> None:
         """Attaches the camera to the twin process, before `connect`. Raises `ConfigurationError` for another size."""
-        if any(given not in (None, size) for given in (self.config.width, self.config.height)):
+        if any(side not in (None, size) for side in (self.config.width, self.config.height)):
             raise ConfigurationError(
                 "The camera's size differs from the twin's image size.",
                 got=f"{self.config.width} x {self.config.height} px",
@@ -93,10 +93,10 @@ class AdamanipTwin(ThreadedCamera):
         """Takes a picture. In lockstep its stamp is that of the last reading."""
         assert self._client is not None
         self._client.request("look", time_limit=LOOK_TIME)
-        found = self._client.frame(FRONT_FRAMES)
-        if found is None:
+        latest = self._client.frame(FRONT_FRAMES)
+        if latest is None:
             raise RobotError("The twin has taken no picture.")
-        frame: Frame = found[1]
+        frame: Frame = latest[1]
         arrival = time.perf_counter()
         reading = self._client.status().reading if self._lockstep else None
         stamp = frame.stamp if reading is None else reading.stamp

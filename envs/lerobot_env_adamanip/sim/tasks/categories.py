@@ -66,12 +66,12 @@ def register_task(row: CategoryTask) -> type[AdaManipTask]:
     """Creates a row's class and registers it with ManiSkill and Gymnasium."""
     category = CATEGORIES[row.category]
     contents = {"definition": row, "__doc__": category.instruction, "__module__": __name__}
-    made = type(f"{category.camel_name}Task", (AdaManipTask,), contents)
-    registered: type[AdaManipTask] = register_env(category.task_id, max_episode_steps=MAX_STEPS)(made)
+    task = type(f"{category.camel_name}Task", (AdaManipTask,), contents)
+    registered: type[AdaManipTask] = register_env(category.task_id, max_episode_steps=MAX_STEPS)(task)
     return registered
 
 
 TASKS = {row.category: register_task(row) for row in ROWS}
 """Category -> class of its task."""
-CLASSES = {made.__name__: made for made in TASKS.values()}
+CLASSES = {task.__name__: task for task in TASKS.values()}
 """Class name, ``SafeTask``, -> class."""
