@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -35,9 +37,32 @@ def step_in_mid_episode() -> Way:
         env.close()
 
 
+def collected_episode() -> Way:
+    """`collect` from an empty folder to a dataset of one microwave, in this process."""
+    from demos_helpers import InThisProcess
+
+    from lerobot_adamanip.collection.collect import collect
+    from lerobot_adamanip.collection.record import Factories
+    from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+    from lerobot_adamanip.episode.options import EnvironmentOptions
+    from lerobot_adamanip.experts import make_expert
+    from lerobot_adamanip.util import jobs
+    from lerobot_env_adamanip.make_env import make_keyframe_env
+
+    environment = EnvironmentOptions("microwave", objects="microwave_000", num_points=128, observe_images=False)
+    spec = CollectionSpec(environment, ("microwave_000",), episodes_per_object=1)
+    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(jobs, "WorkerPool", InThisProcess)
+        with traced() as way:
+            summary = collect(Path(folder) / "dataset", spec, Factories(make_keyframe_env, make_expert))
+    assert summary.episodes == 1
+    return way
+
+
 WAYS: list[Any] = [
     # One use of the code, the most files, the most functions.
     pytest.param(step_in_mid_episode, 12, 75, marks=SIMULATED),
+    pytest.param(collected_episode, 73, 600, marks=SIMULATED),
 ]
 
 

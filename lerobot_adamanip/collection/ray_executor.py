@@ -22,12 +22,12 @@ from lerobot_adamanip.util.jobs import (
     THREAD_LIMITS,
     Crashes,
     JobResult,
+    RunningTime,
     Session,
     Work,
     WorkerError,
     error_text,
 )
-from lerobot_adamanip.util.running_time import RunningTime
 
 MAX_CRASHES = 3
 """Crashes after which an item is given up: one more than on one machine, because nodes may crash for other reasons."""

@@ -27,16 +27,6 @@ def make_env(options: Any) -> demos_fake_env.FakeEnv:
     return demos_fake_env.make_env(options)
 
 
-def test_a_dataset_without_pictures_has_every_other_column(unpictured: Path, finished: Path) -> None:
-    features = Dataset(unpictured).features
-    assert set(Dataset(finished).features) - set(features) == {schema.FRONT_IMAGE}
-    assert not (unpictured / "videos").exists()
-    dataset = open_dataset(unpictured)
-    assert dataset.num_episodes == 6
-    assert dataset[0][schema.JOINTS].shape == (len(schema.JOINT_NAMES),)
-    assert "--no-images" in (unpictured / "README.md").read_text()
-
-
 def test_pictures_added_later_make_the_dataset_that_has_them_from_the_start(
     tmp_path: Path, unpictured: Path, finished: Path
 ) -> None:

@@ -18,7 +18,6 @@ from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.mechanisms import (
     MECHANISM_RULES,
-    RULES,
     LampMechanism,
     Mechanism,
     MicrowaveMechanism,
@@ -183,10 +182,3 @@ def test_presets_agree_elsewhere_and_draw_all_else_alike(category: str) -> None:
     assert [{**each, "direction": 0} for each in hidden[0]] == [{**each, "direction": 0} for each in hidden[2]]
     assert (paper.rules() == hard.rules()) is (category not in FIXED)
     assert (paper.rules() == upstream.rules()) is (category != "safe")
-
-
-def test_the_table_of_rules_has_a_row_of_every_category_and_says_where_it_is_from() -> None:
-    assert set(RULES) == set(CATEGORIES)
-    for rules in RULES.values():
-        assert any(place in rules.paper for place in ("(3.2)", "(figure 2)", "(appendix)", "not in the paper"))
-        assert rules.reading
