@@ -33,7 +33,7 @@ from lerobot_adamanip.contract.observation import workspace_cloud
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
-from lerobot_adamanip.datasets.reading import open_dataset
+from lerobot_adamanip.datasets.dataset import open_dataset
 from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
 from lerobot_adamanip.episode.rollout import next_goal
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin

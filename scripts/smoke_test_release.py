@@ -27,7 +27,7 @@ from lerobot.configs.policies import PreTrainedConfig
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.import_utils import register_third_party_plugins
 from lerobot_adamanip.benchmark.declaration import read_declaration
-from lerobot_adamanip.datasets.cards.templates import card_template
+from lerobot_adamanip.datasets.cards import card_template
 read_declaration()
 card_template("dataset_card.md"), card_template("model_card.md")
 register_third_party_plugins()

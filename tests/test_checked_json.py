@@ -93,8 +93,8 @@ def test_no_reader_of_others_files_breaks_on_deep_json(tmp_path: Path, deep: str
     from safetensors.numpy import save_file
 
     from lerobot_adamanip.assets import AssetSource
+    from lerobot_adamanip.datasets.dataset import Dataset
     from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
-    from lerobot_adamanip.datasets.reading import load_check
     from lerobot_adamanip.datasets.shards import read_record, read_shard
 
     for name, file in (("one", "meta.json"), ("two", "adamanip.json")):
@@ -108,7 +108,7 @@ def test_no_reader_of_others_files_breaks_on_deep_json(tmp_path: Path, deep: str
     with pytest.raises(ValueError, match="deep"):
         leave_poses_unscaled(tmp_path)
     with pytest.raises(DatasetError, match="deep"):
-        load_check(tmp_path)
+        Dataset(tmp_path)
     save_file({"a": np.zeros(1)}, tmp_path / "shard.safetensors", metadata={"record": deep})
     assert read_record(tmp_path / "shard.safetensors") is None
     with pytest.raises(DatasetError, match="recorded episode"):

@@ -20,9 +20,9 @@ from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import SPLIT, environment_json
+from lerobot_adamanip.datasets.episode import start_column
 from lerobot_adamanip.datasets.output_folder import RECORDING, owned_output
 from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
-from lerobot_adamanip.datasets.start_column import start_column
 from lerobot_adamanip.episode.rollout import KeyFrame
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util import files

@@ -35,7 +35,7 @@ class MergeCommand:
 
     def run(self) -> int:
         """Merges datasets. Returns 0 for a complete dataset."""
-        from lerobot_adamanip.datasets.merge import merge
+        from lerobot_adamanip.datasets.editing import merge
 
         with show_progress({"merge": "episodes written"}) as progress:
             merged = merge(self.roots, self.out, repo_id=self.repo_id, progress=functools.partial(progress, "merge"))
@@ -74,7 +74,7 @@ class FilterCommand:
 
     def run(self) -> int:
         """Selects and writes episodes. Returns 0 for a complete dataset."""
-        from lerobot_adamanip.datasets.filter import filter_episodes
+        from lerobot_adamanip.datasets.editing import filter_episodes
 
         with show_progress({"filter": "episodes written"}) as progress:
             advance = functools.partial(progress, "filter")
@@ -114,7 +114,7 @@ class SplitCommand:
     def run(self) -> int:
         """Splits and writes. Returns 0 when all datasets are complete."""
         shares = self._shares()
-        from lerobot_adamanip.datasets.split import split_episodes
+        from lerobot_adamanip.datasets.editing import split_episodes
 
         with show_progress({"split": "episodes written"}) as progress:
             advance = functools.partial(progress, "split")

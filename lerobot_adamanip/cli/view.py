@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,33 +10,24 @@ from lerobot_adamanip.cli.arguments import DatasetFolder, require_suffix
 
 @dataclass
 class ViewCommand:
-    """Draws an episode or writes it for rerun: cloud, tool path, goals, tries, phases, effort and pictures, if any.
-
-    rerun comes with lerobot[viz]. No display is needed.
-    """
+    """Draws an episode: cloud, tool path, goals, tries, phases and effort. No display is needed."""
 
     root: DatasetFolder
     """Folder of a dataset."""
 
     out: Path
-    """Output file: a picture (.png) of the whole episode, or a recording (.rrd) for `rerun FILE.rrd`."""
+    """Output file: a picture (.png) of the whole episode."""
 
     episode: int = 0
     """Index of the episode."""
 
     def run(self) -> int:
-        """Reads the episode and writes it. Returns 0."""
-        kind = self.out.suffix.lower()
-        require_suffix(self.out, (".png", ".rrd"), "--out episode.png")
-        from lerobot_adamanip.datasets.view.episode import read_episode
+        """Reads the episode and draws it. Returns 0."""
+        require_suffix(self.out, (".png",), "--out episode.png")
+        from lerobot_adamanip.datasets.view import read_episode, write_picture
 
-        with contextlib.redirect_stdout(sys.stderr):
-            episode = read_episode(self.root, self.episode, images=kind == ".rrd")
+        episode = read_episode(self.root, self.episode)
         print(episode.title)
-        if kind == ".png":
-            from lerobot_adamanip.datasets.view.picture import write_picture as write
-        else:
-            from lerobot_adamanip.datasets.view.viewer import save as write
-        write(episode, self.out)
+        write_picture(episode, self.out)
         print(f"written: {self.out}")
         return 0

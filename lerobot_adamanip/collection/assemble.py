@@ -12,22 +12,19 @@ from typing import Any
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
-from lerobot_adamanip.datasets.cards.collected import dataset_card
+from lerobot_adamanip.datasets.cards import dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.dataset import read_back
 from lerobot_adamanip.datasets.encoding import EpisodeFile, Features, PreparedEpisode, preparing_session
+from lerobot_adamanip.datasets.episode import JSON_COLUMNS, PLAIN_COLUMNS, to_json
 from lerobot_adamanip.datasets.manifest import Manifest, write_manifest
-from lerobot_adamanip.datasets.reading import JSON_COLUMNS, read_back
 from lerobot_adamanip.datasets.shards import read_shard
 from lerobot_adamanip.datasets.statistics import write_statistics
-from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset, to_json
+from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
 
-_PLAIN_COLUMNS = (
-    "object_id", "seed", "expert", "tries", "failed_tries", "success", "attempts", "attempt", "slot", "late",
-    "simulation_version", "data_version",
-)  # fmt: skip
 MIN_EPISODES_PER_WORKER = 32
 """Episodes per additional worker process: importing LeRobot takes as long as preparing ten."""
 
@@ -195,7 +192,7 @@ def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict
 
 def _describe(root: Path, records: list[dict[str, Any]], features: Features) -> None:
     write_statistics(root, features)
-    add_episode_columns(root, {key: [record[key] for record in records] for key in _PLAIN_COLUMNS})
+    add_episode_columns(root, {key: [record[key] for record in records] for key in PLAIN_COLUMNS})
     add_episode_columns(root, {key: [to_json(record[key]) for record in records] for key in JSON_COLUMNS})
     (root / "meta" / "cameras.json").write_bytes(cameras_json([record["camera"] for record in records]))
     shutil.rmtree(root / "images", ignore_errors=True)

@@ -22,6 +22,7 @@ from lerobot_adamanip.collection.record import Factories, RecordingJob, recordin
 from lerobot_adamanip.collection.summary import CollectSummary, Results, Run
 from lerobot_adamanip.datasets.attempts import all_attempts, count
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec
+from lerobot_adamanip.datasets.dataset import read_back
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.output_folder import (
     COLLECTING,
@@ -31,7 +32,6 @@ from lerobot_adamanip.datasets.output_folder import (
     owned_output,
     resolve_output,
 )
-from lerobot_adamanip.datasets.reading import read_back
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import read_record
 from lerobot_adamanip.util import files, jobs

@@ -7,9 +7,9 @@ from dataclasses import replace
 from pathlib import Path
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
 from lerobot_adamanip.datasets.output_folder import count_episodes, is_free
-from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -17,7 +17,7 @@ from lerobot_adamanip.util.errors import DatasetError
 def require_finished(root: Path, manifest: Manifest) -> None:
     """Raises `DatasetError` unless the dataset is the complete result of this collection."""
     stored = _require_same(manifest_path(root), manifest, root)
-    found = load_check(root)["total_episodes"]
+    found = len(Dataset(root))
     kept = None if stored.attempts is None else stored.attempts.kept
     if found != kept:
         raise DatasetError(

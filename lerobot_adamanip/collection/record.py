@@ -23,9 +23,9 @@ from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, episode_seed
+from lerobot_adamanip.datasets.episode import start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes
-from lerobot_adamanip.datasets.start_column import start_column
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment, rollout
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError

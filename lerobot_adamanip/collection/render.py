@@ -19,6 +19,7 @@ from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.versions import cpu_model
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset, read_back
 from lerobot_adamanip.datasets.manifest import Manifest, differing_parts, read_manifest, require_same, write_manifest
 from lerobot_adamanip.datasets.output_folder import (
     RENDERING,
@@ -28,7 +29,6 @@ from lerobot_adamanip.datasets.output_folder import (
     owned_output,
     resolve_output,
 )
-from lerobot_adamanip.datasets.reading import load_check, read_back
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import identity, selection_path
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
@@ -147,7 +147,7 @@ def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
     root = output.root
     require_same(read_manifest(manifest_path(root), manifest.spec.environment.assets), manifest, root)
     read_back(root)
-    if load_check(root)["total_episodes"] != episodes or selection_path(root).exists():
+    if len(Dataset(root)) != episodes or selection_path(root).exists():
         raise DatasetError(
             "The output folder contains another dataset.",
             got=root,
@@ -158,7 +158,7 @@ def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
 
 
 def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
-    features = load_check(root)["features"]
+    features = Dataset(root).features
     if schema.FRONT_IMAGE in features or schema.JOINTS not in features:
         lacks = "has images already" if schema.FRONT_IMAGE in features else f"lacks {schema.JOINTS}"
         raise DatasetError(

@@ -18,8 +18,9 @@ from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.datasets.check.findings import Progress as CheckProgress
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.datasets.manifest import Manifest, asset_hash, differing_parts
-from lerobot_adamanip.datasets.reading import as_typed, load_check, open_dataset
+from lerobot_adamanip.datasets.opening import as_typed
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.video import write_video
@@ -117,7 +118,7 @@ def _replayed(
         episode=episode,
         object_id=recorded.record["object_id"],
         seed=recorded.record["seed"],
-        key_frames=recorded.record["length"] - 1,
+        key_frames=len(recorded.columns[schema.ACTION]) - 1,
         replayed=len(seen) - 1,
         differences={
             key: float(max(np.abs(frame[key] - recorded.columns[key][t]).max() for t, frame in enumerate(seen)))
@@ -131,7 +132,7 @@ def _replayed(
 
 
 def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
-    load_check(root)
+    Dataset(root)
     if not manifest_path(root).exists():
         raise DatasetError(
             "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
@@ -143,7 +144,7 @@ def _open(root: Path, assets: str | Path | None) -> CollectedDataset:
 
 
 def _write_video(video: str | Path, dataset: CollectedDataset, episode: int, pictures: list[Picture]) -> None:
-    if schema.FRONT_IMAGE in dataset.source.info["features"]:
+    if schema.FRONT_IMAGE in dataset.source.features:
         rows = open_dataset(dataset.source.root, episodes=[episode], video_backend="pyav", return_uint8=True)
         recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
         pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]

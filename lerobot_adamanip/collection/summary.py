@@ -9,8 +9,8 @@ from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import AttemptCounts, read_manifest
-from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.jobs import JobResult
 
@@ -98,7 +98,7 @@ class Run:
 
     def summarize(self, root: Path, spec: CollectionSpec) -> CollectSummary:
         """Returns the summary of this run and a finished dataset."""
-        rows = episode_table(root).select(["object_id", "attempts", "length", "success"]).to_pylist()
+        rows = Dataset(root).table.select(["object_id", "attempts", "length", "success"]).to_pylist()
         counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
         return CollectSummary(
             **self._facts(root),

@@ -1,4 +1,4 @@
-"""All attempts at a dataset's episodes, kept or not, and their counts by hidden value."""
+"""All attempts at a dataset's episodes, kept or not (``meta/attempts.jsonl``), and groups of them by hidden value."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
-from lerobot_adamanip.datasets.manifest import HIDDEN_STATE, AttemptCounts
+from lerobot_adamanip.datasets.episode import HIDDEN_STATE
+from lerobot_adamanip.datasets.manifest import AttemptCounts
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -54,26 +55,19 @@ def all_attempts(
 ) -> list[AttemptRecord]:
     """Returns all attempts at the items, in order, including those of given-up items."""
     kept = {(record["slot"], record["object_id"]): record for record in records}
-    listed = []
+    attempts = []
     for item in items:
-        record = kept.get((item.slot, item.object_id))
-        tried = _given_up(paths, item) if record is None else [*record["failures"], _kept(record)]
+        if record := kept.get((item.slot, item.object_id)):
+            reason = SUCCESS if record["success"] else "corrected without success"
+            tried = [*record["failures"], {**record, "reason": reason}]
+        else:
+            path = paths.attempts / item.file_name.replace(".safetensors", ".json")
+            tried = json_fields.read(path) if path.exists() else []
         for number, attempt in enumerate(tried):
             facts = {key: attempt[key] for key in ("seed", "hidden_state", "reason", "key_frames", "late")}
             in_dataset = record is not None and number == len(tried) - 1
-            listed.append(AttemptRecord(item.object_id, item.slot, number, kept=in_dataset, **facts))
-    return listed
-
-
-def _kept(record: Mapping[str, Any]) -> dict[str, Any]:
-    facts = {key: record[key] for key in ("seed", "hidden_state", "key_frames", "late")}
-    return {**facts, "reason": SUCCESS if record["success"] else "corrected without success"}
-
-
-def _given_up(paths: CollectionPaths, item: EpisodeSpec) -> list[dict[str, Any]]:
-    path = paths.attempts / item.file_name.replace(".safetensors", ".json")
-    listed: list[dict[str, Any]] = json_fields.read(path) if path.exists() else []
-    return listed
+            attempts.append(AttemptRecord(item.object_id, item.slot, number, kept=in_dataset, **facts))
+    return attempts
 
 
 def attempts_path(root: Path) -> Path:
@@ -100,41 +94,39 @@ def read_attempts(path: Path) -> list[AttemptRecord]:
         ) from error
 
 
-def count(attempts: Iterable[AttemptRecord], wanted: int) -> AttemptCounts:
+def count(attempts: list[AttemptRecord], wanted: int) -> AttemptCounts:
     """Returns the numbers of attempts and kept attempts for ``wanted`` episodes."""
-    listed = list(attempts)
-    kept = sum(attempt.kept for attempt in listed)
-    return AttemptCounts(kept, len(listed), wanted - kept)
+    kept = sum(attempt.kept for attempt in attempts)
+    return AttemptCounts(kept, len(attempts), wanted - kept)
 
 
-def by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, tuple[int, int]]:
-    """Returns hidden value -> (kept, attempted)."""
-    groups = grouped_by_hidden_value(attempts)
-    return {label: (sum(attempt.kept for attempt in group), len(group)) for label, group in groups.items()}
+class HasHiddenState(Protocol):
+    """An attempt or an episode."""
+
+    @property
+    def hidden_state(self) -> Mapping[str, Any] | None:
+        """Name -> hidden value."""
 
 
-def grouped_by_hidden_value(attempts: Iterable[AttemptRecord]) -> dict[str, list[AttemptRecord]]:
-    """Returns hidden value -> attempts; an attempt is listed under each of its hidden values.
+def grouped_by_hidden_value[Item: HasHiddenState](items: Iterable[Item]) -> dict[str, list[Item]]:
+    """Returns hidden value -> attempts or episodes; each is listed under every one of its hidden values.
 
     Continuous values are split at their median.
     """
-    listed = [(attempt.hidden_state or {}, attempt) for attempt in attempts]
-    table: dict[str, list[AttemptRecord]] = {}
-    for name in sorted({name for hidden, _ in listed for name in hidden}):
-        mine = [(hidden[name], attempt) for hidden, attempt in listed if name in hidden]
-        values = [value for value, _ in mine]
-        is_continuous = any(isinstance(value, float) for value in values) and not any(
-            isinstance(value, str) for value in values
-        )
-        middle = sorted(values)[len(values) // 2] if is_continuous else None
-        groups: dict[str, list[AttemptRecord]] = {}
-        for value, attempt in mine:
+    known = [(item.hidden_state or {}, item) for item in items]
+    groups: dict[str, list[Item]] = {}
+    for name in sorted({name for hidden, _ in known for name in hidden}):
+        values = [hidden[name] for hidden, _ in known if name in hidden]
+        kinds = set(map(type, values))
+        middle = sorted(values)[len(values) // 2] if float in kinds and str not in kinds else None
+        of_name: dict[str, list[Item]] = {}
+        for value, item in ((hidden[name], item) for hidden, item in known if name in hidden):
             label = f"= {json.dumps(value)}" if middle is None else f"{'<' if value < middle else '>='} {middle:.3g}"
-            groups.setdefault(f"{name} {label}", []).append(attempt)
-        table |= dict(sorted(groups.items()))
-    if unplaced := [attempt for _, attempt in listed if attempt.hidden_state is None]:
-        table[NO_LAYOUT] = unplaced
-    return table
+            of_name.setdefault(f"{name} {label}", []).append(item)
+        groups |= dict(sorted(of_name.items()))
+    if unplaced := [item for _, item in known if item.hidden_state is None]:
+        groups[NO_LAYOUT] = unplaced
+    return groups
 
 
 _COUNT = json_fields.integer(0, 2**31)

@@ -18,11 +18,10 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.appending import append_rows, can_append
 from lerobot_adamanip.datasets.cutting import cut_episode
-from lerobot_adamanip.datasets.description import plain_feature
+from lerobot_adamanip.datasets.dataset import Dataset, camera_of, read_back
 from lerobot_adamanip.datasets.encoding import quieten, video_encoder
-from lerobot_adamanip.datasets.reading import as_typed, camera_of, read_back, workspace_of
+from lerobot_adamanip.datasets.opening import as_typed, plain_feature
 from lerobot_adamanip.datasets.selection import Selection, write_selection
-from lerobot_adamanip.datasets.source import Source
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense
@@ -32,7 +31,7 @@ from lerobot_adamanip.util.json_fields import read
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished episodes and the total number."""
-Pieces = Sequence[tuple[Source, int]]
+Pieces = Sequence[tuple[Dataset, int]]
 """Source datasets and episode indices, in the order of the new dataset."""
 _OF_COLLECTION = ("meta/collection.json", "meta/attempts.jsonl")
 _OF_ROBOT = (CALIBRATIONS, SAFETY)
@@ -105,17 +104,17 @@ def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
     return dataset
 
 
-def _append(dataset: Any, schema: pa.Schema, source: Source, episode: int) -> int:
-    row = source.row(episode)
-    table = source.rows(row)
+def _append(dataset: Any, schema: pa.Schema, source: Dataset, index: int) -> int:
+    episode = source.episodes[index]
+    table = source.rows(episode)
     tasks = [source.tasks[index] for index in table["task_index"].to_pylist()]
     videos = {
-        key: cut_episode(source.root, key, feature, row, source.info["fps"])
+        key: cut_episode(source.root, key, feature, episode.row, source.fps)
         for key, feature in dataset.meta.features.items()
         if feature["dtype"] == "video"
     }
     rows = _with_types(table, schema)
-    return append_rows(dataset, rows, row["tasks"], tasks, stats=source.stats(episode), videos=videos)
+    return append_rows(dataset, rows, list(episode.tasks), tasks, stats=source.statistics_of(index), videos=videos)
 
 
 def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
@@ -129,19 +128,19 @@ def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
     return cast.replace_schema_metadata(schema.metadata)
 
 
-def _restore_info(out: Path, sources: Sequence[Source]) -> None:
+def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
     """Replaces LeRobot's description of the new videos by the sources', where all sources agree."""
     path = out / "meta" / "info.json"
     info = read(path)
     for key, feature in info["features"].items():
-        told = [source.info["features"][key].get("info") or {} for source in sources]
+        told = [source.features[key].get("info") or {} for source in sources]
         if any(told):
             agreed = {name for name, value in told[0].items() if all(each.get(name) == value for each in told)}
             feature["info"] = {name: value for name, value in told[0].items() if name in agreed}
-    box = workspace_of(sources[0].root, sources[0].info["features"])
+    box = sources[0].workspace
     if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
         info["features"][POINT_CLOUD].setdefault("info", {}).update(workspace_info(box))
-    cameras = {camera_of(source.info["features"]) for source in sources} - {FRONT}
+    cameras = {camera_of(source.features) for source in sources} - {FRONT}
     if len(cameras) == 1:  # simulated clouds of a mix name no camera
         info["features"][POINT_CLOUD].setdefault("info", {})["camera"] = cameras.pop()
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
@@ -149,23 +148,23 @@ def _restore_info(out: Path, sources: Sequence[Source]) -> None:
 
 def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
     """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
-    write_statistics(out, pieces[0][0].info["features"])
+    write_statistics(out, pieces[0][0].features)
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
     add_episode_columns(out, columns)
     if cameras := camera_records(columns):
         files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
     first = pieces[0][0]
-    if is_dense(first.info["features"]):
+    if is_dense(first.features):
         _copy(first.root, out, _OF_ROBOT)
     if selection is not None:
         write_selection(out, selection)
         _copy(first.root, out, _OF_COLLECTION)
 
 
-def _require_same_calibrations(sources: Sequence[Source]) -> None:
+def _require_same_calibrations(sources: Sequence[Dataset]) -> None:
     """Raises `DatasetError` for recordings with different calibrations, since a dataset holds only one."""
-    dense = [source for source in sources if is_dense(source.info["features"])]
+    dense = [source for source in sources if is_dense(source.features)]
     if len({tuple(_content(source.root / name) for name in _OF_ROBOT) for source in dense}) > 1:
         names = " ".join(as_typed(source.root) for source in dense)
         raise DatasetError(

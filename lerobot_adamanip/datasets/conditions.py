@@ -1,18 +1,25 @@
-"""Conditions on episodes: ``failed_tries>=1``, ``object_id=safe_000,safe_003``. They are parsed, not executed."""
+"""Select episodes: a table of each episode's values, and conditions on it like ``failed_tries>=1``.
+
+Conditions are parsed, not executed.
+"""
 
 from __future__ import annotations
 
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from lerobot_adamanip.catalog import category_of, object_split
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest
+from lerobot_adamanip.util.json_fields import parse
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
 
 Value = bool | int | float | str
-Facts = Mapping[str, Value | None]
-"""An episode's values by name; None if unknown."""
 _ORDERED: Mapping[str, Callable[[Any, Any], bool]] = {
     ">=": operator.ge, "<=": operator.le, ">": operator.gt, "<": operator.lt,
 }  # fmt: skip
@@ -20,39 +27,100 @@ _GRAMMAR = re.compile(r"\s*([A-Za-z_][\w.]*)\s*(==|!=|>=|<=|=|>|<)\s*(.*?)\s*", 
 _WORDS = {"true": True, "false": False}
 
 
-@dataclass(frozen=True)
-class Condition:
-    """Comparison of one column, by ``=``, ``!=``, ``<``, ``<=``, ``>`` or ``>=``."""
-
-    column: str
-    operation: str
-    values: tuple[Value, ...]
-    """Values to compare with; ``=`` holds if any is equal, ``!=`` if none is."""
-    ranges: tuple[tuple[int, int], ...] = ()
-    """Ranges of whole numbers for ``=`` and ``!=``: first, end (excluded)."""
-
-    def holds(self, facts: Facts) -> bool:
-        """Returns whether an episode fulfils the condition; unknown values never do."""
-        found: Any = facts[self.column]
-        if found is None:
-            return False
-        if any(isinstance(value, str) for value in self.values):
-            found = as_text(found)
-        if self.operation in _ORDERED:
-            return _ORDERED[self.operation](found, self.values[0])
-        equal = found in self.values or any(first <= found < end for first, end in self.ranges)
-        return equal is (self.operation == "=")
+# Values ---------------------------------------------------------------------------------------------------------------
 
 
-def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
-    """Parses a condition on episodes with these values.
+def episode_values(dataset: Dataset) -> DataFrame:
+    """Returns a table with one row per episode and one column per value; None is an unknown value.
 
-    Its form is COLUMN OPERATION VALUE. For ``=`` and ``!=`` several values may follow, separated by commas; whole
-    numbers may be ranges like ``0:10`` (10 excluded).
+    The columns are the scalar columns of ``meta/episodes`` and derived values: ``category`` and ``object_split`` (seen,
+    unseen, novel) of its object, ``task``, ``key_frames`` (number of actions), ``recoveries`` (failed tries followed by
+    a successful one), and its hidden state, for example ``hidden.locked``.
+    """
+    import pandas as pd
+
+    rows = []
+    for episode, own in zip(dataset.episodes, dataset.own_columns.to_pylist(), strict=True):
+        plain = {name: value for name, value in own.items() if isinstance(value, Value)}
+        values = {name: value for name, value in plain.items() if str(value)[:1] not in ("{", "[")}
+        place = {"episode_index": episode.number, "length": episode.length, "task": ", ".join(episode.tasks)}
+        rows.append({**place, **values, **_of_object(plain.get("object_id")), **_hidden(plain.get("hidden_state"))})
+    table = pd.DataFrame(rows, dtype=object)
+    if {schema.TRIED, schema.FAILED, schema.DONE} <= dataset.features.keys():
+        for name in ("key_frames", "recoveries"):
+            table[name] = counted_labels(dataset)[name].astype(object)
+    return table.where(table.notna(), None)
+
+
+def counted_labels(dataset: Dataset) -> DataFrame:
+    """Returns each episode's ``key_frames``, ``tries``, ``failed_tries``, ``recoveries``, ``success``, from its rows.
+
+    Rows without a label count as rows without a try, a success or an end.
+    """
+    unlabelled: dict[str, Any] = {schema.TRIED: -1, schema.FAILED: False, schema.SUCCESS: False, schema.DONE: False}
+    rows = dataset.column_table([key for key in unlabelled if key in dataset.features]).to_pandas()
+    rows = rows.assign(**{key: value for key, value in unlabelled.items() if key not in rows})
+    episode, failed = rows["episode_index"], rows[schema.FAILED].astype(bool)
+    tried = rows[schema.TRIED] >= 0
+    followed = failed[tried].groupby(episode[tried]).shift(fill_value=False) & ~failed[tried]
+    counts = {
+        "key_frames": ~rows[schema.DONE].astype(bool),
+        "tries": tried,
+        "failed_tries": failed,
+        "recoveries": followed.reindex(rows.index, fill_value=False),
+        "success": rows[schema.SUCCESS].astype(bool),
+    }
+    return rows.assign(**counts).groupby(episode)[[*counts]].sum().astype({"success": bool})
+
+
+def _of_object(object_id: object) -> dict[str, str | None]:
+    if not isinstance(object_id, str):
+        return {}
+    try:
+        return {"category": category_of(object_id), "object_split": object_split(object_id)}
+    except ConfigurationError:  # an unknown object of another project's recording
+        return {}
+
+
+def _hidden(text: Any) -> dict[str, Value]:
+    try:
+        hidden = parse(text) if isinstance(text, str) else None
+    except ValueError:
+        return {}
+    values = hidden if isinstance(hidden, Mapping) else {}
+    return {f"hidden.{name}": value for name, value in values.items() if isinstance(value, Value)}
+
+
+# Conditions -----------------------------------------------------------------------------------------------------------
+
+
+def choose(conditions: Sequence[str], table: DataFrame) -> list[int]:
+    """Returns the rows that fulfil all conditions.
+
+    A condition is COLUMN OPERATION VALUE. For ``=`` and ``!=`` several values may follow, separated by commas; whole
+    numbers may be ranges like ``0:10`` (10 excluded). An unknown value fulfils no condition.
 
     Raises:
-        ConfigurationError: the form, the column or the type of a value is wrong.
+        ConfigurationError: a condition's form, column or type of value is wrong, or no row fulfils all of them.
     """
+    parsed = [_parse(text, table) for text in conditions]
+    chosen = [
+        row
+        for row in range(len(table))
+        if all((value := table[column].iat[row]) is not None and holds(value) for column, holds in parsed)
+    ]
+    if not chosen:
+        raise ConfigurationError(
+            "No episode fulfils the conditions.",
+            got=" and ".join(conditions),
+            allowed="; ".join(f"{column}: {_range(table[column])}" for column in dict(parsed)),
+            hint="a less strict condition",
+        )
+    return chosen
+
+
+def _parse(text: str, table: DataFrame) -> tuple[str, Callable[[Any], bool]]:
+    """Returns the column of a condition and the test of its values."""
     match = _GRAMMAR.fullmatch(text)
     if match is None or not match[3]:
         raise ConfigurationError(
@@ -62,39 +130,44 @@ def parse_condition(text: str, facts: Sequence[Facts]) -> Condition:
             hint="--where 'failed_tries>=1'",
         )
     column, operation, value = match[1], match[2].replace("==", "="), match[3]
-    kind = _kind(column, operation + value, facts)
+    kind = _kind(column, operation + value, table)
+
+    def unfit(allowed: str) -> ConfigurationError:
+        hint = f"--where '{column}={as_text(table[column].dropna().iat[0])}'"
+        return ConfigurationError("The condition does not fit its column.", got=repr(text), allowed=allowed, hint=hint)
+
+    def convert(word: str) -> Value:
+        try:
+            if kind is bool or (kind is float and word.lower() in _WORDS):
+                return _WORDS[word.lower()]
+            whole = float if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind
+            return whole(word)  # type: ignore[no-any-return]
+        except (KeyError, ValueError):
+            raise unfit(_range(table[column])) from None
+
     if operation in _ORDERED:
         if kind in (bool, str):
-            raise _unfit(text, column, facts, f"= or !=, since {column} is no number")
-        return Condition(column, operation, (_value(text, column, kind, value, facts),))
-    ranges, values = [], []
+            raise unfit(f"= or !=, since {column} is no number")
+        compare, bound = _ORDERED[operation], convert(value)
+        return column, lambda found: compare(found, bound)
+    ranges, values = [], list[Value]()
     for word in (part.strip() for part in value.split(",")):
-        if kind is int and (found := re.fullmatch(r"(-?\d+):(-?\d+)", word)):
-            ranges.append((int(found[1]), int(found[2])))
+        if kind is int and (span := re.fullmatch(r"(-?\d+):(-?\d+)", word)):
+            ranges.append(range(int(span[1]), int(span[2])))
         else:
-            values.append(_value(text, column, kind, word, facts))
-    return Condition(column, operation, tuple(values), tuple(ranges))
+            values.append(convert(word))
+
+    def is_one_of(found: Any) -> bool:
+        found = as_text(found) if kind is str else found
+        return found in values or any(found in span for span in ranges)
+
+    return column, is_one_of if operation == "=" else lambda found: not is_one_of(found)
 
 
-def choose(conditions: Sequence[str], facts: Sequence[Facts]) -> list[int]:
-    """Returns the indices of the episodes that fulfil all conditions; raises `ConfigurationError` if there are none."""
-    parsed = [parse_condition(text, facts) for text in conditions]
-    chosen = [number for number, each in enumerate(facts) if all(one.holds(each) for one in parsed)]
-    if not chosen:
-        columns = dict.fromkeys(one.column for one in parsed)
-        raise ConfigurationError(
-            "No episode fulfils the conditions.",
-            got=" and ".join(conditions),
-            allowed="; ".join(f"{column}: {_range(column, facts)}" for column in columns),
-            hint="a less strict condition",
-        )
-    return chosen
-
-
-def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
-    kinds = {type(each[column]) for each in facts if each.get(column) is not None}
+def _kind(column: str, rest: str, table: DataFrame) -> type:
+    kinds = set(map(type, table[column].dropna())) if column in table else set()
     if not kinds:
-        names = sorted({name for each in facts for name, value in each.items() if value is not None})
+        names = sorted(name for name in table.columns if table[name].notna().any())
         word = column.lower()
         begun = (name for name in names if name.startswith(word) or name.rpartition(".")[2].startswith(word))
         near = next(begun, None) or nearest(word, names)
@@ -106,32 +179,14 @@ def _kind(column: str, rest: str, facts: Sequence[Facts]) -> type:
     return str if str in kinds else float
 
 
-def _value(text: str, column: str, kind: type, word: str, facts: Sequence[Facts]) -> Value:
-    try:
-        if kind is bool:
-            return _WORDS[word.lower()]
-        if kind is float and word.lower() in _WORDS:
-            return _WORDS[word.lower()]
-        return float(word) if kind is int and re.fullmatch(r"-?\d+\.\d*", word) else kind(word)
-    except (KeyError, ValueError):
-        raise _unfit(text, column, facts, _range(column, facts)) from None
-
-
 def as_text(value: Value) -> str:
     """Returns a value as it is typed in a condition."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 
 
-def _unfit(text: str, column: str, facts: Sequence[Facts], allowed: str) -> ConfigurationError:
-    shown = as_text(next(value for each in facts if (value := each[column]) is not None))
-    return ConfigurationError(
-        "The condition does not fit its column.", got=repr(text), allowed=allowed, hint=f"--where '{column}={shown}'"
-    )
-
-
-def _range(column: str, facts: Sequence[Facts]) -> str:
+def _range(column: Any) -> str:
     """Returns the values of a column as text."""
-    values: list[Any] = [each[column] for each in facts if each[column] is not None]
+    values: list[Any] = column.dropna().tolist()
     if all(isinstance(value, bool) for value in values):
         return "true or false" if len(set(values)) == 2 else f"always {str(values[0]).lower()}"
     if all(isinstance(value, int | float) for value in values):

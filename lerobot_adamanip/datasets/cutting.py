@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.datasets.description import VIDEO_PATH
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, encoder_like
+from lerobot_adamanip.datasets.opening import VIDEO_PATH
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import open_mp4
 

@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.assets import AssetSource, is_asset_id, parse_asset_id
-from lerobot_adamanip.catalog import parse_object_id
+from lerobot_adamanip.assets import AssetSource, is_asset_id
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.datasets.collection_spec import (
@@ -25,6 +24,7 @@ from lerobot_adamanip.datasets.collection_spec import (
     CollectionSpec,
     environment_json,
 )
+from lerobot_adamanip.datasets.episode import HIDDEN_STATE, check_object_id
 from lerobot_adamanip.episode.options import (
     BEST,
     CLOUD_SOURCES,
@@ -57,10 +57,6 @@ from lerobot_adamanip.util.json_fields import (
 
 FORMAT = 3
 """Version of the manifest and of the columns beside it."""
-HIDDEN_STATE: Check = mapping(
-    text(r"[a-z][a-z_]{0,39}", "the name of a hidden value"), either(flag, number(-1e6, 1e6), text(r"\w{1,40}", "")), 16
-)
-"""Checks the hidden values of an episode."""
 _WORD = text(r"[\w .:+-]{1,80}", "a short word")
 
 
@@ -216,15 +212,6 @@ def _told(value: object) -> str:
     return listed(value) if isinstance(value, list | tuple) else repr(value)
 
 
-def _object_id(name: str, value: object) -> str:
-    object_id = str(text(r".{1,120}", "an object's id")(name, value))
-    try:
-        (parse_asset_id if is_asset_id(object_id) else parse_object_id)(object_id)
-    except ConfigurationError:
-        raise ValueError(f"{name} is {object_id!r}, which is no object's id") from None
-    return object_id
-
-
 def _environment(name: str, value: object) -> dict[str, Any]:
     checked: dict[str, Any] = table(_ENVIRONMENT)(name, value)
     return checked
@@ -245,7 +232,7 @@ _ENVIRONMENT: Mapping[str, Check] = {
     "workspace": table({"lower": _CORNER, "upper": _CORNER}),
 }
 _COLLECTION: Mapping[str, Check] = {
-    "objects": listing(_object_id, 1, MAX_OBJECTS),
+    "objects": listing(check_object_id, 1, MAX_OBJECTS),
     "environment": _environment,
     "expert": choice(EXPERT_KINDS),
     "expert_preset": choice(EXPERT_STRATEGIES),
@@ -261,7 +248,7 @@ _MANIFEST: Mapping[str, Check] = {
     "category": choice((*CATEGORIES, ALL)),
     "collection": table(_COLLECTION),
     "versions": _VERSIONS,
-    "external_assets": mapping(_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
+    "external_assets": mapping(check_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
     "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),
     "processors": listing(text(r"[^\x00-\x1f\x7f|`<>]{1,200}", "a CPU model"), 0, 1000),
 }

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POSE_NAMES, STATE, Statistics, fix_pose_statistics
-from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES, read_info
+from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES
+from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.hardware.features import names_of
 from lerobot_adamanip.util import files

@@ -16,10 +16,11 @@ from typing import Any
 
 import pyarrow as pa
 
-from lerobot_adamanip.datasets.check.dataset import lacks_cameras, require_dataset
-from lerobot_adamanip.datasets.check.findings import Report, first_line
-from lerobot_adamanip.datasets.check.layout import CAMERAS, INFO, STATS, Layout, leftovers, read_layout
+from lerobot_adamanip.datasets.check.dataset import CAMERAS, lacks_cameras, leftovers, read_metadata
+from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.check.statistics import check_statistics, repaired_statistics, stored_statistics
+from lerobot_adamanip.datasets.dataset import STATS, Dataset
+from lerobot_adamanip.datasets.opening import INFO, first_line, require_dataset
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.datasets.writing import camera_records, cameras_json
@@ -92,26 +93,26 @@ def repair(root: str | Path) -> Repair:
         for path in list(leftovers(folder)):
             done.move_away(path, "left by a process that ended early")
         report = Report()
-        layout = read_layout(folder, report)
-        if layout is None or report.counts["metadata"]:
-            done.left.append(str(report.findings[0]))
-        elif not (counted := layout.info["total_episodes"]):
+        dataset = read_metadata(folder, report)
+        if dataset is None or report.counts["metadata"]:
+            done.left.append(str(next(each for each in report.findings if dataset is None or each.kind == "metadata")))
+        elif not (counted := dataset.info["total_episodes"]):
             done.left.append(f"{INFO} counts no episode: none was saved")
-        elif len(layout.episodes) < counted:
+        elif len(dataset.episodes) < counted:
             done.left.append(
-                f"{INFO} counts {counted} episodes, and meta/episodes describes {len(layout.episodes)} of them. No "
+                f"{INFO} counts {counted} episodes, and meta/episodes describes {len(dataset.episodes)} of them. No "
                 "kill of this project's recorders does that; get the files of meta/episodes back from a copy"
             )
         else:
-            _move_uncounted(done, layout)
+            _move_uncounted(done, dataset)
             _write_totals(done)
-            _write_cameras(done, layout)
+            _write_cameras(done, dataset)
     return done
 
 
-def _move_uncounted(done: Repair, layout: Layout) -> None:
-    described = {each.listed_in for each in layout.episodes if each.number < layout.info["total_episodes"]}
-    kept = [each for each in layout.episodes if each.listed_in in described]
+def _move_uncounted(done: Repair, dataset: Dataset) -> None:
+    described = {each.listed_in for each in dataset.episodes if each.number < dataset.info["total_episodes"]}
+    kept = [each for each in dataset.episodes if each.listed_in in described]
     used = described | {each.file for each in kept} | {part.file for each in kept for part in each.videos.values()}
     for pattern in ("meta/episodes/*/*.parquet", "data/*/*.parquet", "videos/*/*/*.mp4"):
         for path in sorted(done.root.glob(pattern)):
@@ -120,27 +121,28 @@ def _move_uncounted(done: Repair, layout: Layout) -> None:
 
 
 def _write_totals(done: Repair) -> None:
-    layout = read_layout(done.root, Report())
-    assert layout is not None
-    told = {name: layout.info.get(name) for name in ("total_episodes", "total_frames", "total_tasks")}
-    tasks = len(layout.tasks) or told["total_tasks"]
-    true = {"total_episodes": len(layout.episodes), "total_frames": layout.rows, "total_tasks": tasks}
+    dataset = read_metadata(done.root, Report())
+    assert dataset is not None
+    told = {name: dataset.info.get(name) for name in ("total_episodes", "total_frames", "total_tasks")}
+    tasks = len(dataset.tasks) or told["total_tasks"]
+    rows = sum(episode.length for episode in dataset.episodes)
+    true = {"total_episodes": len(dataset.episodes), "total_frames": rows, "total_tasks": tasks}
     if told != true:
-        info = {**layout.info, **true, "splits": {"train": f"0:{len(layout.episodes)}"}}
-        done.replace(done.root / INFO, info, f"{len(layout.episodes)} episodes, {layout.rows} rows, counted again")
-        layout.info.update(true)
-    report, stored = Report(), stored_statistics(layout.table)
-    check_statistics(layout, stored, report)
+        info = {**dataset.info, **true, "splits": {"train": f"0:{len(dataset.episodes)}"}}
+        done.replace(done.root / INFO, info, f"{len(dataset.episodes)} episodes, {rows} rows, counted again")
+        dataset.info.update(true)
+    report, stored = Report(), stored_statistics(dataset.statistics)
+    check_statistics(dataset, stored, report)
     if report.counts:
         try:
-            stats = repaired_statistics(layout, stored)
+            stats = repaired_statistics(dataset, stored)
         except (OSError, pa.ArrowException) as error:
             done.left.append(f"{STATS}: the rows cannot be read: {first_line(error)}")
             return
         done.replace(done.root / STATS, plain_statistics(stats), "computed again from the rows")
 
 
-def _write_cameras(done: Repair, layout: Layout) -> None:
+def _write_cameras(done: Repair, dataset: Dataset) -> None:
     """Writes lost parameters of cameras again, from the column of the episodes that has them."""
-    if lacks_cameras(layout) and (cameras := camera_records(layout.table)):
+    if lacks_cameras(dataset) and (cameras := camera_records(dataset.table)):
         done.replace(done.root / CAMERAS, json.loads(cameras_json(cameras)), "written again from the episodes")

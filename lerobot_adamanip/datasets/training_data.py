@@ -6,7 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.util.errors import AdaManipError
 
 
 def training_objects(checkpoint: Path) -> list[str]:
@@ -16,8 +17,8 @@ def training_objects(checkpoint: Path) -> list[str]:
     try:
         dataset = training_options(checkpoint)["dataset"]
         root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
-        return sorted(set(map(str, episode_table(root)["object_id"].drop_null().to_pylist())))
-    except (OSError, ValueError, LookupError, TypeError):  # another kind of dataset, or not available
+        return sorted(set(map(str, Dataset(root).table["object_id"].drop_null().to_pylist())))
+    except (OSError, ValueError, LookupError, TypeError, AdaManipError):  # another kind of dataset, or not available
         return []
 
 

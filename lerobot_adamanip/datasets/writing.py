@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
-from lerobot_adamanip.datasets.reading import read_episodes
+from lerobot_adamanip.datasets.episode import to_json
 from lerobot_adamanip.datasets.statistics import write_episodes
 from lerobot_adamanip.util.json_fields import parse
 
@@ -89,7 +89,9 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
     """Adds columns, one value per episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
     added = columns if isinstance(columns, pa.Table) else pa.table(columns)
     for path in sorted((root / "meta" / "episodes").glob("*/*.parquet")):
-        table = read_episodes(path, statistics=True)
+        # LeRobot's tools write statistics of each coordinate of a cloud, which are most of the file.
+        names = [name for name in pq.read_schema(path).names if not name.startswith(f"stats/{schema.POINT_CLOUD}/")]
+        table = pq.read_table(path, columns=names)
         mine = added.take(table["episode_index"])
         for name in mine.column_names:
             if name not in table.column_names:
@@ -118,8 +120,3 @@ def cameras_json(cameras: list[dict[str, Any]]) -> bytes:
         }
     }
     return (to_json(content, indent=2) + "\n").encode()
-
-
-def to_json(value: Any, indent: int | None = None) -> str:
-    """Returns JSON with sorted keys, so that equal values give equal bytes."""
-    return json.dumps(value, sort_keys=True, indent=indent)

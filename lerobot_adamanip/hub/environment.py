@@ -11,8 +11,7 @@ from lerobot_adamanip import __version__
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
-from lerobot_adamanip.datasets.cards.collected import COLUMNS
-from lerobot_adamanip.datasets.cards.templates import LICENSE, TAGS, card_template, citation, front_matter
+from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, TAGS, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.model_index import results_table
 from lerobot_adamanip.mechanisms.table import RULES

@@ -11,8 +11,7 @@ from typing import Any
 
 from safetensors import safe_open
 
-from lerobot_adamanip.datasets.cards.collected import COLUMNS
-from lerobot_adamanip.datasets.cards.templates import LICENSE, card_template, citation, front_matter
+from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.model_index import eval_results, results_table
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from lerobot_adamanip.datasets.cards.templates import template_texts
+from lerobot_adamanip.datasets.cards import template_texts
 from lerobot_adamanip.hub.private_data import find_addresses, find_secrets
 from lerobot_adamanip.util.errors import DatasetError, listed
 from lerobot_adamanip.util.machine_paths import MACHINE_PATH

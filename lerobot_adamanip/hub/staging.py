@@ -15,11 +15,9 @@ from safetensors import SafetensorError, safe_open
 
 from lerobot_adamanip.collection.pipelines import PIPELINES, pipeline_steps
 from lerobot_adamanip.contract.categories import ALL
-from lerobot_adamanip.datasets.cards.collected import dataset_card
-from lerobot_adamanip.datasets.cards.recorded import has_recorded_episodes, recorded_card
-from lerobot_adamanip.datasets.cards.templates import check_card
+from lerobot_adamanip.datasets.cards import check_card, dataset_card
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.environment import environment_files
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
@@ -88,7 +86,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
         DatasetError: the dataset is missing, unfinished or damaged, or contains names of a machine or person.
     """
     name, root = root.absolute().name, root.resolve()
-    version = str(load_check(root).get("codebase_version"))
+    version = str(Dataset(root).info.get("codebase_version"))
     result = check(root, assets=assets)
     if failures := [finding for finding in result.findings if finding.fails]:
         raise DatasetError(
@@ -98,10 +96,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs damage from a crash",
         )
     _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
-    if has_recorded_episodes(root):
-        card = recorded_card(root, name, repo_id)
-    else:
-        card = dataset_card(root, name, repo_id, assets)
+    card = dataset_card(root, name, repo_id, assets)
     return _finish(Staged("dataset", repo_id, into, _DATASET, version), card, root)
 
 

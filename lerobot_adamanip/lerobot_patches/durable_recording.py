@@ -192,7 +192,7 @@ def _rows(folder: Path) -> int:
 
 def repair_recording(root: Path) -> None:
     """Repairs a recording of our robots after a crash. Ignores other datasets and missing folders."""
-    from lerobot_adamanip.datasets.reading import read_info
+    from lerobot_adamanip.datasets.opening import read_info
     from lerobot_adamanip.datasets.repair import repair
 
     try:

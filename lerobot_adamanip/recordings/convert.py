@@ -15,9 +15,10 @@ import lerobot_adamanip
 from lerobot_adamanip.collection.assemble import append_shards
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.datasets.merge import merge_into, one_workspace
+from lerobot_adamanip.datasets.dataset import Dataset, read_back
+from lerobot_adamanip.datasets.editing import merge_into, one_workspace
+from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
-from lerobot_adamanip.datasets.reading import load_check, read_back, read_info
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.datasets.statistics import write_statistics
@@ -139,7 +140,8 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
     """Returns options with the columns of the simulated datasets, if any."""
     if not simulated:
         return options
-    box = one_workspace(simulated)
+    datasets = [Dataset(each) for each in simulated]
+    box = one_workspace(datasets)
     if options.rows.workspace not in (box, DEFAULT_WORKSPACE):
         raise ConfigurationError(
             "All clouds of a mix need the same workspace.",
@@ -147,7 +149,7 @@ def _fitting(options: ConvertOptions, simulated: Sequence[Path]) -> ConvertOptio
             allowed=f"{box}, as in {simulated[0].name}",
             hint="leave out --workspace-lower and --workspace-upper",
         )
-    features = load_check(simulated[0])["features"]
+    features = datasets[0].features
     image = features.get(schema.FRONT_IMAGE)
     rows = replace(
         options.rows,
@@ -190,7 +192,7 @@ class _Conversion:
         """Returns the demonstration of a part that starts at a tick; None for a skipped part without motion."""
         name, options = f"{recording.root.name}:{number}", self.options
         try:
-            chosen = choose_key_frames(episode, recording.fps, options.key_frames)
+            chosen = choose_key_frames(episode, recording.dataset.fps, options.key_frames)
         except DatasetError as error:
             if not options.skip_still:
                 what = f"{name} cannot be converted."
@@ -207,9 +209,9 @@ class _Conversion:
         recorded = {
             "recording": recording.root.name,
             "episode": number,
-            "robot_type": recording.info.get("robot_type"),
-            "fps": recording.fps,
-            "corrections": INTERVENTION in recording.info["features"],
+            "robot_type": recording.dataset.info.get("robot_type"),
+            "fps": recording.dataset.fps,
+            "corrections": INTERVENTION in recording.dataset.features,
             "plugin": lerobot_adamanip.__version__,
             "ticks": (begin + chosen.rows).tolist(),
         }

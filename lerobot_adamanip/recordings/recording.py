@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
-import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
-from lerobot_adamanip.datasets.reading import check_videos, checked_info
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.hardware.calibration.file import read_calibrations
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import (
@@ -46,42 +45,38 @@ class DenseRecording:
     """A dataset that `lerobot-record` or `lerobot-rollout` recorded with one of our robots.
 
     Attributes:
-        root: dataset folder.
-        info: content of ``meta/info.json``.
+        dataset: the recording.
         camera: key of the camera whose depth becomes the cloud.
     """
 
-    root: Path
-    info: dict[str, Any]
+    dataset: Dataset
     camera: str = FRONT_CAMERA
 
     @classmethod
     def open(cls, root: Path, camera: str = FRONT_CAMERA) -> DenseRecording:
         """Opens a recording. Raises `DatasetError` if it is missing, from another robot, or without depth."""
-        folder = root.absolute()
-        info = checked_info(folder)
-        if not is_dense(info["features"]):
+        dataset = Dataset(root, recordings=True)
+        if not is_dense(dataset.features):
             raise _unusable(
-                folder,
-                "columns " + ", ".join(sorted(info["features"])),
+                dataset.root,
+                "columns " + ", ".join(sorted(dataset.features)),
                 "observation.state with the names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
                 "lerobot-record --robot.type=adamanip_franka",
             )
         depth = image_column(camera) + DEPTH_SUFFIX
-        if depth not in info["features"]:
-            pictures = [key for key in info["features"] if is_image_column(key)]
-            raise _unusable(folder, f"pictures {pictures}", depth, "--camera with a depth camera")
-        check_videos(folder, folder.glob("videos/*/*/*.mp4"))
-        return cls(folder, info, camera)
+        if depth not in dataset.features:
+            pictures = [key for key in dataset.features if is_image_column(key)]
+            raise _unusable(dataset.root, f"pictures {pictures}", depth, "--camera with a depth camera")
+        return cls(dataset, camera)
 
     @property
-    def fps(self) -> int:
-        """Rate of the recording [Hz]."""
-        return int(self.info["fps"])
+    def root(self) -> Path:
+        """Folder of the recording."""
+        return self.dataset.root
 
     @cached_property
-    def dataset(self) -> Any:
-        """The complete recording as a LeRobotDataset."""
+    def _frames(self) -> Any:
+        """The complete recording as a LeRobotDataset, which decodes its videos."""
         from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
         return LeRobotDataset(f"local/{self.root.name}", root=self.root, video_backend="pyav")
@@ -103,26 +98,18 @@ class DenseRecording:
         return known[self.camera]
 
     def __len__(self) -> int:
-        return int(self.info["total_episodes"])
+        return len(self.dataset)
 
     @cached_property
     def _rows(self) -> pa.Table:
-        wanted = [schema.STATE, schema.ACTION, "index", "episode_index", "task_index"]
-        wanted += [INTERVENTION] * (INTERVENTION in self.info["features"])
-        paths = sorted((self.root / "data").glob("*/*.parquet"))
-        try:
-            tables = [pq.read_table(path, columns=wanted) for path in paths]
-        except (OSError, pa.ArrowException) as error:
-            raise _unusable(
-                self.root, str(error), "whole files", f"adamanip check {self.root.name} --repair"
-            ) from error
-        return pa.concat_tables(tables).sort_by("index")
+        corrected = [INTERVENTION] * (INTERVENTION in self.dataset.features)
+        return self.dataset.column_table([schema.STATE, schema.ACTION, "task_index", *corrected])
 
     def episode(self, number: int) -> DenseEpisode:
         """Returns an episode's columns. Raises `DatasetError` for values that are not finite."""
         table = self._rows.filter(pc.equal(self._rows["episode_index"], number))
         states, asked = (np.asarray(table[key].to_pylist(), np.float32) for key in (schema.STATE, schema.ACTION))
-        names, asked_names = (names_of(self.info["features"][key]) for key in (schema.STATE, schema.ACTION))
+        names, asked_names = (names_of(self.dataset.features[key]) for key in (schema.STATE, schema.ACTION))
 
         def told(wanted: Sequence[str], otherwise: float) -> NDArray[np.float32]:
             if not self._tells(wanted):
@@ -142,7 +129,7 @@ class DenseRecording:
             stamp=told([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
             outcome=np.rint(told([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
             success=told([LABEL_NAME], 0.0)[:, 0] > 0.5,
-            task=str(self.dataset.meta.tasks.index[table["task_index"][0].as_py()]),
+            task=self.dataset.tasks[table["task_index"][0].as_py()],
             asked=asked,
             corrected=np.asarray(table[INTERVENTION].to_pylist()).reshape(-1).astype(bool)
             if INTERVENTION in table.column_names
@@ -171,7 +158,7 @@ class DenseRecording:
         return np.stack(sent)
 
     def _tells(self, wanted: Sequence[str]) -> bool:
-        return set(wanted) <= set(names_of(self.info["features"][schema.STATE]))
+        return set(wanted) <= set(names_of(self.dataset.features[schema.STATE]))
 
     @property
     def tells_success(self) -> bool:
@@ -180,8 +167,7 @@ class DenseRecording:
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
-        begin = int(self.dataset.meta.episodes[number]["dataset_from_index"])
-        item = self.dataset[begin + tick]
+        item = self._frames[self.dataset.episodes[number].start + tick]
         depth = np.asarray(item[image_column(self.camera) + DEPTH_SUFFIX]).squeeze()
         colour = item.get(image_column(self.camera))
         if colour is not None:

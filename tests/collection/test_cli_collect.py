@@ -17,8 +17,8 @@ from lerobot_adamanip.cli.collect_setup import resolve_images
 from lerobot_adamanip.cli.main import main, parse_command
 from lerobot_adamanip.collection.collect import CollectOptions
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import read_manifest
-from lerobot_adamanip.datasets.reading import episode_table
 from lerobot_env_adamanip.sim import render_device
 
 SMALL = ["--objects", "0:2", "--episodes-per-object", "2", "--num-points", "8", "--late-starts", "0.5",
@@ -51,7 +51,7 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     content: dict[str, Any] = json.loads(output)
     assert "recorded in all: 4/4 (100 %)" in progress  # no terminal: a line now and then
     assert "writing the dataset: 4/4" in progress
-    attempts = episode_table(root)["attempts"].to_pylist()
+    attempts = Dataset(root).table["attempts"].to_pylist()
     assert content["episodes"] == content["recorded"] == len(attempts) == 4
     assert content["attempts"] == content["attempted"] == sum(attempts)
     assert content["success_rate"] == pytest.approx(4 / sum(attempts))

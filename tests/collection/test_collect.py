@@ -16,8 +16,8 @@ from demos_helpers import HERE, NoWorkers, fakes, make_spec, patiently, same_byt
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.output_folder import lock_output
-from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.util import jobs
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -222,7 +222,7 @@ def test_a_retry_meets_the_hidden_state_of_the_attempt_before_it(tmp_path: Path,
     assert any(len(drawn) > 1 for drawn in items.values())
     assert all(len(set(drawn)) == 1 for drawn in items.values())
     assert {drawn[0] for drawn in items.values()} == {True, False}
-    for row in episode_table(finished).to_pylist():
+    for row in Dataset(finished).table.to_pylist():
         assert json.loads(row["hidden_state"])["locked"] == items[row["object_id"], row["slot"]][0]
 
 
@@ -230,14 +230,14 @@ def test_a_retry_meets_the_hidden_state_of_the_attempt_before_it(tmp_path: Path,
 def test_failed_episodes_are_kept_apart_if_asked_for(tmp_path: Path, finished: Path) -> None:
     root, failed = tmp_path / "dataset", tmp_path / "dataset-failed"
     collect(root, make_spec(keep_failed=True), fakes(), patiently())
-    rows, kept = episode_table(failed).to_pylist(), episode_table(root).to_pylist()
+    rows, kept = Dataset(failed).table.to_pylist(), Dataset(root).table.to_pylist()
     assert not any(row["success"] for row in rows)
-    assert [row["seed"] for row in kept] == [row["seed"] for row in episode_table(finished).to_pylist()]
+    assert [row["seed"] for row in kept] == [row["seed"] for row in Dataset(finished).table.to_pylist()]
     attempts = [json.loads(line) for line in (root / "meta" / "attempts.jsonl").read_text().splitlines()]
     lost = [attempt for attempt in attempts if not attempt["kept"]]
     started = {attempt["seed"] for attempt in lost if not str(attempt["reason"]).startswith("unreachable")}
     assert {row["seed"] for row in rows} == started
-    assert load_check(failed)["features"] == load_check(root)["features"]
+    assert Dataset(failed).features == Dataset(root).features
     assert "failed episodes" in (failed / "README.md").read_text()
     for row in rows[:3]:
         assert replay(failed, row["episode_index"], fakes().environment).agrees(0.0)
@@ -252,7 +252,7 @@ def test_an_environment_that_cannot_be_built_ends_the_collection_with_its_reason
 @here
 def test_the_expert_decides_the_data_but_not_the_episodes(tmp_path: Path, finished: Path) -> None:
     collect(tmp_path / "dataset", make_spec(expert="static"), fakes(), patiently())
-    adaptive, static = (episode_table(root).to_pylist() for root in (finished, tmp_path / "dataset"))
+    adaptive, static = (Dataset(root).table.to_pylist() for root in (finished, tmp_path / "dataset"))
     assert [row["seed"] for row in adaptive] == [row["seed"] for row in static]
     assert [row["start"] for row in adaptive] == [row["start"] for row in static]
     assert all(row["failed_tries"] == 0 for row in static)
@@ -276,8 +276,8 @@ def test_all_categories_make_one_dataset_of_what_each_gives_alone(tmp_path: Path
     only = make_spec(category="lamp", objects=("lamp_000",), episodes_per_object=2)
     alone = collect(tmp_path / "lamp", only, fakes(), patiently())
     assert alone.categories["lamp"].attempts == summary.categories["lamp"].attempts
-    rows = [row for row in episode_table(tmp_path / "all").to_pylist() if row["object_id"] == "lamp_000"]
-    for row, other in zip(rows, episode_table(tmp_path / "lamp").to_pylist(), strict=True):
+    rows = [row for row in Dataset(tmp_path / "all").table.to_pylist() if row["object_id"] == "lamp_000"]
+    for row, other in zip(rows, Dataset(tmp_path / "lamp").table.to_pylist(), strict=True):
         assert {key: row[key] for key in ("seed", "length", "hidden_state")} == {
             key: other[key] for key in ("seed", "length", "hidden_state")
         }

@@ -11,7 +11,7 @@ from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.datasets.collect_command import PYTHON_ONLY, collect_command
+from lerobot_adamanip.datasets.cards import PYTHON_ONLY, collect_command
 from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.episode.options import EnvironmentOptions

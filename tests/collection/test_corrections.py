@@ -18,7 +18,7 @@ from lerobot_adamanip.collection.corrections import Correcting, corrected_rollou
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
-from lerobot_adamanip.datasets.reading import episode_table, open_dataset
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.episode.rollout import KeyFrame
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.recorded_rows import read_recorded_rows
@@ -83,7 +83,7 @@ def test_the_expert_believes_what_the_policy_has_tried() -> None:
 
 
 def test_episodes_are_kept_whether_they_succeed_or_not_and_replay_exactly(mixed: Path) -> None:
-    outcomes = episode_table(mixed)["success"].to_pylist()
+    outcomes = Dataset(mixed).table["success"].to_pylist()
     assert len(outcomes) == 6
     sent, corrections = rows(mixed, schema.EXECUTED), rows(mixed, schema.ACTION)
     assert 0.2 < (sent == corrections).all(axis=1).mean() < 0.9
@@ -95,7 +95,7 @@ def test_episodes_are_kept_whether_they_succeed_or_not_and_replay_exactly(mixed:
 def test_a_policy_that_opens_nothing_is_corrected_all_the_same(tmp_path: Path) -> None:
     result = collect(tmp_path / "vain", spec(expert_share=0.0, late_starts=0.0), corrected(), patiently())
     assert (result.recorded, result.failures, result.success_rate) == (6, (), 0.0)
-    assert not any(episode_table(tmp_path / "vain")["success"].to_pylist())
+    assert not any(Dataset(tmp_path / "vain").table["success"].to_pylist())
 
 
 def test_workers_and_interruptions_change_nothing(tmp_path: Path, mixed: Path) -> None:

@@ -19,7 +19,7 @@ from demos_helpers import InThisProcess, dies, dies_at, make_spec, same_bytes
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.record import Factories
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
-from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -61,7 +61,7 @@ def nothing_lost(root: Path) -> Iterator[None]:
     before = finished_shards(root)
     yield
     if root.exists():
-        load_check(root)
+        Dataset(root)
     else:
         after = finished_shards(root)
         assert all(after.get(name) == content for name, content in before.items())
@@ -114,7 +114,7 @@ def test_shards_are_kept_if_the_dataset_cannot_be_read_back(tmp_path: Path, monk
     assert len(finished_shards(root)) == 4
     monkeypatch.setattr(files, "on_crash_point", None)
     run(root)
-    assert load_check(root)["total_episodes"] == 4
+    assert len(Dataset(root)) == 4
 
 
 def test_shards_are_kept_if_a_finished_dataset_is_found_damaged(tmp_path: Path, whole: Path) -> None:

@@ -18,8 +18,8 @@ from lerobot_adamanip.collection.late_starts import (
 from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
 from lerobot_adamanip.contract.rotations import angle_between
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
-from lerobot_adamanip.datasets.reading import episode_table
-from lerobot_adamanip.datasets.start_column import RESET, read_start, start_column
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.episode import RESET, read_start, start_column
 from lerobot_adamanip.util.errors import UnreachableError
 
 
@@ -74,7 +74,7 @@ def test_it_ends_with_open_fingers_away_from_the_part_and_short_of_success() -> 
     np.testing.assert_array_equal(actions[-2, :3], actions[-3, :3])  # the fingers open where they are
     assert np.linalg.norm(actions[-1, :3] - actions[-2, :3]) > 0.04
     content = start_column(actions)
-    np.testing.assert_array_equal(read_start(json.dumps(content)), actions)
+    np.testing.assert_array_equal(read_start(content), actions)
 
 
 def test_what_is_recorded_begins_there_and_counts_from_there() -> None:
@@ -86,7 +86,7 @@ def test_what_is_recorded_begins_there_and_counts_from_there() -> None:
         except UnreachableError:
             continue
         assert attempt.late
-        prefix = read_start(json.dumps(episode.record["start"]))
+        prefix = read_start(episode.record["start"])
         assert len(episode) == attempt.key_frames + 1
         assert episode.record["episode_record"]["key_frames"] == attempt.key_frames
         np.testing.assert_allclose(episode.columns["observation.state"][0, :3], prefix[-1, :3], atol=1e-6)
@@ -94,7 +94,7 @@ def test_what_is_recorded_begins_there_and_counts_from_there() -> None:
 
 
 def test_an_episode_from_rest_says_so(finished: Path) -> None:
-    starts = [json.loads(row["start"]) for row in episode_table(finished).to_pylist()]
+    starts = [json.loads(row["start"]) for row in Dataset(finished).table.to_pylist()]
     assert RESET in starts
     assert any(start != RESET for start in starts)
-    assert len(read_start(json.dumps(RESET))) == 0
+    assert len(read_start(RESET)) == 0

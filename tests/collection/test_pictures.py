@@ -15,9 +15,9 @@ from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
 from lerobot_adamanip.contract.observation import observation_columns
-from lerobot_adamanip.datasets.check.contract import check_features
+from lerobot_adamanip.datasets.check.features import check_features
 from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.reading import load_check, open_dataset
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.util.errors import DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -28,8 +28,8 @@ def make_env(options: Any) -> demos_fake_env.FakeEnv:
 
 
 def test_a_dataset_without_pictures_has_every_other_column(unpictured: Path, finished: Path) -> None:
-    features = load_check(unpictured)["features"]
-    assert set(load_check(finished)["features"]) - set(features) == {schema.FRONT_IMAGE}
+    features = Dataset(unpictured).features
+    assert set(Dataset(finished).features) - set(features) == {schema.FRONT_IMAGE}
     assert not (unpictured / "videos").exists()
     dataset = open_dataset(unpictured)
     assert dataset.num_episodes == 6
@@ -57,11 +57,11 @@ def test_a_second_camera_is_recorded_for_one_row_of_the_table(
     observation, _ = env.reset(seed=1, options={"object_id": "safe_000"})
     assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column("side")}
     add_pictures(unpictured, out := tmp_path / "dataset", make_env)
-    assert schema.dataset_features(8, 64).keys() < load_check(out)["features"].keys()
+    assert schema.dataset_features(8, 64).keys() < Dataset(out).features.keys()
     row = open_dataset(out, video_backend="pyav", return_uint8=True)[0]
     assert abs(row[image_column("side")].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
     report = Report()
-    check_features(load_check(out)["features"], report, collected=True)
+    check_features(Dataset(out).features, report, collected=True)
     assert report.clean
 
 

@@ -14,7 +14,7 @@ from demos_helpers import fakes
 from lerobot_adamanip.cli.replay import ReplayCommand
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_env_adamanip import make_env as factory
 
@@ -23,7 +23,7 @@ Refuses = Callable[[type, Callable[[], Any]], str]
 
 
 def test_every_recorded_episode_happens_again_exactly(finished: Path) -> None:
-    for row in episode_table(finished).to_pylist():
+    for row in Dataset(finished).table.to_pylist():
         result = replay(finished, row["episode_index"], ENV)
         assert result.agrees(0.0)
         assert (result.object_id, result.seed) == (row["object_id"], row["seed"])

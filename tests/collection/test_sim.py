@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from lerobot_adamanip.collection.replay import replay
-from lerobot_adamanip.datasets.reading import load_check
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_env_adamanip.make_env import make_keyframe_env
 
 pytestmark = pytest.mark.sim
@@ -26,7 +26,7 @@ def test_safes_are_collected_replayed_and_collected_again_alike(
         assert main(["collect", str(root), *SMALL, "--workers", workers, "--json"]) == 0
         assert json.loads(capfd.readouterr().out)["episodes"] == 2
     for root in roots:  # the folder's name is in the card alone
-        assert load_check(root, num_points=256)["total_episodes"] == 2
+        assert len(Dataset(root, num_points=256)) == 2
     same_content(*roots)
     # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
     result = replay(roots[0], 1, make_keyframe_env, video=tmp_path / "replay.mp4")

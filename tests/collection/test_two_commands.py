@@ -15,9 +15,9 @@ from demos_helpers import InThisProcess, dies_at, fakes, make_spec, patiently, s
 
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.render import add_pictures
-from lerobot_adamanip.datasets.filter import filter_episodes
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, RENDERING, lock_path
-from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util import files, jobs
 from lerobot_adamanip.util.errors import AdaManipError
@@ -101,7 +101,7 @@ def contents(root: Path) -> State:
 
 def is_dataset(root: Path) -> bool:
     with contextlib.suppress(AdaManipError):
-        return bool(load_check(root))
+        return bool(Dataset(root))
     return False
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from lerobot_adamanip.datasets.attempts import AttemptRecord, by_hidden_value, count
+from lerobot_adamanip.datasets.attempts import AttemptRecord, count, grouped_by_hidden_value
 
 
 def attempt(kept: bool, hidden: dict[str, Any] | None, slot: int = 0) -> AttemptRecord:
@@ -25,10 +25,11 @@ def test_every_attempt_counts() -> None:
 
 
 def test_they_divide_by_each_hidden_value() -> None:
-    table = by_hidden_value(LISTED)
+    groups = grouped_by_hidden_value(LISTED)
+    table = {label: (sum(each.kept for each in group), len(group)) for label, group in groups.items()}
     assert table["locked = true"] == (1, 2)
     assert table["locked = false"] == (1, 1)
     assert table["angle < 1.5"] == (1, 1)
     assert table["angle >= 1.5"] == (1, 2)
     assert table["(no layout)"] == (0, 1)
-    assert by_hidden_value([]) == {}
+    assert grouped_by_hidden_value([]) == {}

@@ -20,11 +20,10 @@ from records import record
 
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.cards import templates as cards
-from lerobot_adamanip.datasets.cards.collected import COLUMNS, dataset_card
-from lerobot_adamanip.datasets.cards.templates import check_card
+from lerobot_adamanip.datasets import cards
+from lerobot_adamanip.datasets.cards import COLUMNS, check_card, dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
-from lerobot_adamanip.datasets.filter import filter_episodes
+from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.log import append_record

@@ -22,9 +22,9 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report, Rows
 from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.dataset import open_dataset
+from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
-from lerobot_adamanip.datasets.reading import open_dataset
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.util.errors import DatasetError
 

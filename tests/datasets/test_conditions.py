@@ -2,22 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.conditions import Facts, choose, parse_condition
-from lerobot_adamanip.datasets.episode_facts import episode_facts, recoveries
-from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.split import assign
+from lerobot_adamanip.datasets.conditions import choose, counted_labels, episode_values
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.editing import assign
 from lerobot_adamanip.util.errors import AdaManipError
 
-FACTS: list[Facts] = [
+EPISODES: list[dict[str, Any]] = [
     {"failed_tries": 0, "success": True, "object_id": "safe_000", "hidden.range": 1.25, "note": None, "code": "7"},
     {"failed_tries": 2, "success": False, "object_id": "safe_001", "hidden.range": 1.5, "note": "x", "code": "07"},
     {"failed_tries": 9, "success": True, "object_id": "door_n002", "hidden.range": 2.0, "note": "y z", "code": "a"},
@@ -39,14 +40,17 @@ REFUSED = {
 """Condition -> what its error names."""
 
 
+def table_of(episodes: list[dict[str, Any]]) -> pd.DataFrame:
+    table = pd.DataFrame(episodes, dtype=object)
+    return table.where(table.notna(), None)
+
+
 @pytest.mark.parametrize("text", CHOSEN)
 def test_conditions(text: str) -> None:
-    assert choose([text], FACTS) == CHOSEN[text]
-    condition = parse_condition(text, FACTS)
-    assert [index for index, each in enumerate(FACTS) if condition.holds(each)] == CHOSEN[text]
+    assert choose([text], table_of(EPISODES)) == CHOSEN[text]
 
 
-MIXED: list[Facts] = [
+MIXED: list[dict[str, Any]] = [
     {"mode": True, "side": "left", "share": 1}, {"mode": 1, "side": 2, "share": 0.5},
     {"mode": 0, "side": True, "share": 2}, {"mode": False, "side": "2", "share": 1.0},
 ]  # fmt: skip
@@ -61,35 +65,42 @@ MIXED: list[Facts] = [
     ],
 )  # fmt: skip
 def test_conditions_hold_on_columns_of_several_types(text: str, chosen: list[int]) -> None:
-    assert choose([text], MIXED) == chosen
+    assert choose([text], table_of(MIXED)) == chosen
 
 
 def test_columns_of_several_types_are_split() -> None:
-    assert assign(MIXED, None, by="mode", seed=0) == {"true": [0, 1], "0": [2, 3]}
-    assert assign(MIXED, None, by="side", seed=0) == {"true": [2], "2": [1, 3], "left": [0]}
+    assert assign(table_of(MIXED), None, by="mode", seed=0) == {"true": [0, 1], "0": [2, 3]}
+    assert assign(table_of(MIXED), None, by="side", seed=0) == {"true": [2], "2": [1, 3], "left": [0]}
 
 
 @pytest.mark.parametrize("text", REFUSED)
 def test_what_chooses_nothing_is_one_clear_error(text: str) -> None:
     with pytest.raises(AdaManipError) as error:
-        choose([text], FACTS)
+        choose([text], table_of(EPISODES))
     assert REFUSED[text] in str(error.value)
 
 
 def test_what_is_known_of_an_episode(finished: Path) -> None:
-    facts = episode_facts(Source.open(finished))
+    dataset = Dataset(finished)
+    table, labels = episode_values(dataset), counted_labels(dataset)
     rows = pq.read_table(sorted((finished / "data").glob("*/*.parquet"))).to_pandas()
-    for number, each in enumerate(facts):
+    for number, each in enumerate(table.to_dict("records")):
         mine = rows[rows["episode_index"] == number]
         assert each["key_frames"] == len(mine) - 1
-        assert each["recoveries"] == recoveries(mine.loc[mine[schema.TRIED] >= 0, schema.FAILED].tolist())
+        failed = mine.loc[mine[schema.TRIED] >= 0, schema.FAILED].tolist()
+        assert each["recoveries"] == sum(one and not other for one, other in itertools.pairwise(failed))
+        counts = (each["tries"], each["failed_tries"], each["success"])
+        assert counts == (len(failed), sum(failed), mine[schema.SUCCESS].any())
+        assert counts == tuple(labels.loc[number, ["tries", "failed_tries", "success"]])
         assert (each["category"], each["object_split"], each["task"]) == ("safe", "seen", "open the fake")
-    assert {"tries", "failed_tries", "success", "late", "expert", "slot", "seed", "hidden.locked"} <= set(facts[0])
-    assert not {"camera", "versions", "hidden_state", "data/file_index"} & set(facts[0])
-    assert max(each["recoveries"] or 0 for each in facts) == 1
+    assert {"tries", "failed_tries", "success", "late", "expert", "slot", "seed", "hidden.locked"} <= set(table)
+    assert not {"camera", "versions", "hidden_state", "data/file_index"} & set(table)
+    assert max(table["recoveries"]) == 1
 
 
-MANY: list[Facts] = [{"episode_index": n, "object_id": f"safe_{n % 7:03d}", "success": n % 3 > 0} for n in range(50)]
+MANY: list[dict[str, Any]] = [
+    {"episode_index": n, "object_id": f"safe_{n % 7:03d}", "success": n % 3 > 0} for n in range(50)
+]
 
 
 @given(
@@ -99,8 +110,8 @@ MANY: list[Facts] = [{"episode_index": n, "object_id": f"safe_{n % 7:03d}", "suc
 )
 def test_everything_goes_to_one_part_and_values_stay_together(shares: list[int], by: str, seed: int) -> None:
     named = {f"part{number}": share / sum(shares) for number, share in enumerate(shares)}
-    parts = assign(MANY, named, by=by, seed=seed)
-    assert parts == assign(MANY, named, by=by, seed=seed)
+    parts = assign(table_of(MANY), named, by=by, seed=seed)
+    assert parts == assign(table_of(MANY), named, by=by, seed=seed)
     assert list(parts) == list(named)
     assert sorted(index for mine in parts.values() for index in mine) == list(range(50))
     values: list[set[Any]] = [{MANY[index][by] for index in mine} for mine in parts.values()]
@@ -112,6 +123,6 @@ def test_everything_goes_to_one_part_and_values_stay_together(shares: list[int],
 
 
 def test_shares_are_kept_and_seeds_differ() -> None:
-    parts = [assign(MANY, {"a": 0.8, "b": 0.2}, by="episode_index", seed=seed) for seed in range(3)]
+    parts = [assign(table_of(MANY), {"a": 0.8, "b": 0.2}, by="episode_index", seed=seed) for seed in range(3)]
     assert [(len(each["a"]), len(each["b"])) for each in parts] == [(40, 10)] * 3
     assert len({tuple(each["b"]) for each in parts}) == 3

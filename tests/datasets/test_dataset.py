@@ -18,10 +18,10 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset, read_back
+from lerobot_adamanip.datasets.episode import RESET
 from lerobot_adamanip.datasets.manifest import read_manifest
-from lerobot_adamanip.datasets.reading import episode_table, load_check, open_dataset, read_back
 from lerobot_adamanip.datasets.shards import RecordedEpisode
-from lerobot_adamanip.datasets.start_column import RESET
 from lerobot_adamanip.util.errors import DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -45,7 +45,7 @@ def again(row: dict[str, Any]) -> RecordedEpisode:
 def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path) -> None:
     dataset = open_dataset(finished, video_backend="pyav")
     assert dataset.num_episodes == 6
-    for row in episode_table(finished).to_pylist():
+    for row in Dataset(finished).table.to_pylist():
         episode = again(row)
         assert len(episode) == row["length"]
         for t in range(len(episode)):
@@ -60,7 +60,7 @@ def test_rows_are_the_episodes_that_happen_from_the_stored_seeds(finished: Path)
 
 def test_every_episode_ends_past_success_in_one_terminal_row(finished: Path) -> None:
     dataset = open_dataset(finished, video_backend="pyav")
-    for row in episode_table(finished).to_pylist():
+    for row in Dataset(finished).table.to_pylist():
         items = [dataset[index] for index in range(row["dataset_from_index"], row["dataset_to_index"])]
         assert [bool(item[schema.DONE]) for item in items] == [False] * (len(items) - 1) + [True]
         success = [bool(item[schema.SUCCESS]) for item in items]
@@ -97,7 +97,7 @@ def test_every_episode_tells_what_it_was_and_what_made_it(finished: Path) -> Non
 
 
 def test_the_hidden_state_is_in_no_column_a_policy_reads(finished: Path) -> None:
-    features = load_check(finished)["features"]
+    features = Dataset(finished).features
     inputs = {key for key in features if key.startswith("observation.")}
     assert inputs == {schema.POINT_CLOUD, schema.STATE, schema.EFFORT, schema.FRONT_IMAGE}
 
@@ -117,7 +117,7 @@ def test_cameras_travel_with_the_dataset(finished: Path) -> None:
     front = json.loads((finished / "meta" / "cameras.json").read_text())["front"]
     assert front["constant"]["intrinsics"] == np.eye(3).tolist()
     assert front["per_episode"] == ["cam_in_base"]
-    assert load_check(finished)["features"][schema.FRONT_IMAGE]["info"]["intrinsics"] == np.eye(3).tolist()
+    assert Dataset(finished).features[schema.FRONT_IMAGE]["info"]["intrinsics"] == np.eye(3).tolist()
 
 
 def test_an_unfinished_dataset_says_how_to_finish(tmp_path: Path, refuses: Refuses) -> None:
@@ -136,10 +136,10 @@ def test_an_unfinished_dataset_says_how_to_finish(tmp_path: Path, refuses: Refus
 def test_a_file_without_its_footer_or_a_row_is_half_written(copy: Path, refuses: Refuses, name: str) -> None:
     content = (copy / name).read_bytes()
     (copy / name).write_bytes(content[: len(content) // 2])
-    assert "half written" in refuses(DatasetError, lambda: load_check(copy))
+    assert "half written" in refuses(DatasetError, lambda: Dataset(copy))
     (copy / name).write_bytes(content)
     pq.write_table(pq.read_table(copy / name).slice(0, 3), copy / name)
-    assert "3 rows" in refuses(DatasetError, lambda: load_check(copy))
+    assert "3 rows" in refuses(DatasetError, lambda: Dataset(copy))
 
 
 def test_no_advice_costs_data(copy: Path, tmp_path: Path, refuses: Refuses, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -152,7 +152,7 @@ def test_no_advice_costs_data(copy: Path, tmp_path: Path, refuses: Refuses, monk
     (work / "empty").mkdir()
 
     def advice(root: Path) -> str:
-        message = refuses(DatasetError, lambda: load_check(root))
+        message = refuses(DatasetError, lambda: Dataset(root))
         assert "delete" not in message
         assert "rm " not in message
         return message
@@ -179,12 +179,12 @@ def test_no_advice_costs_data(copy: Path, tmp_path: Path, refuses: Refuses, monk
 @pytest.mark.parametrize("name", ["meta/info.json", "meta/stats.json", "data", "videos", "meta/episodes"])
 def test_a_dataset_that_lacks_a_part_is_half_written(copy: Path, refuses: Refuses, name: str) -> None:
     (copy / name).rename(copy.with_name("elsewhere"))
-    assert "half written" in refuses(DatasetError, lambda: load_check(copy))
+    assert "half written" in refuses(DatasetError, lambda: Dataset(copy))
 
 
 def test_another_layout_is_one_clear_error(copy: Path, refuses: Refuses) -> None:
-    assert load_check(copy, num_points=8)
-    message = refuses(DatasetError, lambda: load_check(copy, num_points=1024))
+    assert Dataset(copy, num_points=8)
+    message = refuses(DatasetError, lambda: Dataset(copy, num_points=1024))
     assert "(24,)" in message
     assert "(3072,)" in message
     path = copy / "meta" / "info.json"
@@ -193,14 +193,14 @@ def test_another_layout_is_one_clear_error(copy: Path, refuses: Refuses) -> None
         info = json.loads(content)
         info["features"][key]["shape"] = [5]
         path.write_text(json.dumps(info))
-        assert key in refuses(DatasetError, lambda: load_check(copy))
+        assert key in refuses(DatasetError, lambda: Dataset(copy))
         del info["features"][key]
         path.write_text(json.dumps(info))
-        assert "missing" in refuses(DatasetError, lambda: load_check(copy))
+        assert "missing" in refuses(DatasetError, lambda: Dataset(copy))
 
 
 def test_a_dataset_is_read_back_whole(finished: Path, copy: Path, refuses: Refuses) -> None:
-    lengths = [row["length"] for row in episode_table(finished).to_pylist()]
+    lengths = [row["length"] for row in Dataset(finished).table.to_pylist()]
     read_back(finished, lengths)
     read_back(finished)
     assert "were written" in refuses(DatasetError, lambda: read_back(finished, [*lengths, 3]))
@@ -208,5 +208,5 @@ def test_a_dataset_is_read_back_whole(finished: Path, copy: Path, refuses: Refus
     content = video.read_bytes()
     for damaged in (content[: len(content) // 2], b"", content.replace(content[2000:4000], bytes(2000))):
         video.write_bytes(damaged)
-        load_check(copy)  # which does not decode
+        Dataset(copy)  # which does not decode
         refuses(DatasetError, lambda: read_back(copy))

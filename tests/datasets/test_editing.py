@@ -16,12 +16,9 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cutting
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
-from lerobot_adamanip.datasets.reading import episode_table, load_check
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
-from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.video import write_video
 
@@ -88,7 +85,7 @@ def test_parts_of_parts_find_together(unpictured: Path, tmp_path: Path) -> None:
 
 def test_a_filtered_dataset_holds_those_episodes_as_they_were(whole: Path, tmp_path: Path) -> None:
     chosen = filter_episodes(whole, ["hidden.locked=true"], tmp_path / "locked")
-    locked = [json.loads(text)["locked"] for text in episode_table(whole)["hidden_state"].to_pylist()]
+    locked = [json.loads(text)["locked"] for text in Dataset(whole).table["hidden_state"].to_pylist()]
     assert chosen == [index for index, value in enumerate(locked) if value]
     assert 0 < len(chosen) < 6
     before, after = rows(whole), rows(tmp_path / "locked")
@@ -115,9 +112,9 @@ def test_rows_are_found_however_a_file_is_laid_out(unpictured: Path, tmp_path: P
 
 def test_columns_of_episodes_cameras_and_manifest_stay(whole: Path, tmp_path: Path) -> None:
     filter_episodes(whole, ["episode_index=2,4"], tmp_path / "part")
-    before, after = (episode_table(root) for root in (whole, tmp_path / "part"))
+    before, after = (Dataset(root).table for root in (whole, tmp_path / "part"))
     assert before.column_names == after.column_names
-    own = [name for name in Source.open(whole).own_columns.column_names if name != "episode_index"]
+    own = [name for name in Dataset(whole).own_columns.column_names if name != "episode_index"]
     assert {"object_id", "seed", "hidden_state", "start", "camera", "versions"} <= set(own)
     for name in own:
         assert after[name].type == before[name].type
@@ -130,13 +127,13 @@ def test_columns_of_episodes_cameras_and_manifest_stay(whole: Path, tmp_path: Pa
 
 def test_datasets_come_one_after_another(finished: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     copy = another(finished, tmp_path / "copy")
-    info = load_check(copy)
+    info = Dataset(copy).info
     info["features"][schema.FRONT_IMAGE]["info"]["video.crf"] = 30
     (copy / "meta" / "info.json").write_text(json.dumps(info))
     assert main(["merge", str(finished), str(copy), "--out", str(tmp_path / "both"), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert (told["parts_of_one"], told["whole"], told["mixed_versions"]) == (False, False, "")
-    assert told["episodes"] == load_check(tmp_path / "both")["total_episodes"] == 12
+    assert told["episodes"] == len(Dataset(tmp_path / "both")) == 12
     part, both = rows(finished), rows(tmp_path / "both")
     count = len(part["index"])
     assert set(both) == set(part)
@@ -145,10 +142,10 @@ def test_datasets_come_one_after_another(finished: Path, tmp_path: Path, capsys:
         np.testing.assert_array_equal(both[name][:count], values, err_msg=name)
         np.testing.assert_array_equal(both[name][count:], values + shift if shift else values, err_msg=name)
     kept = ["object_id", "seed", "hidden_state", "success", "start", "versions"]
-    one, two = (episode_table(root).select(kept).to_pylist() for root in (finished, tmp_path / "both"))
+    one, two = (Dataset(root).table.select(kept).to_pylist() for root in (finished, tmp_path / "both"))
     assert two == 2 * one
     # What differs between them is told where they agree.
-    old, new = (load_check(root)["features"][schema.FRONT_IMAGE]["info"] for root in (finished, tmp_path / "both"))
+    old, new = (Dataset(root).features[schema.FRONT_IMAGE]["info"] for root in (finished, tmp_path / "both"))
     assert new == {name: value for name, value in old.items() if name != "video.crf"}
 
 
@@ -186,9 +183,10 @@ def test_a_lerobot_with_another_writer_is_refused(
 def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    source = Source.open(finished)
+    source = Dataset(finished)
     (file,) = (finished / "videos").rglob("*.mp4")
-    first, length = source.row(2)["dataset_from_index"], source.row(2)["length"]
+    episode = source.episodes[2]
+    first, length = episode.start, episode.length
     assert cutting._copied(file, tmp_path / "cut.mp4", (first, first + length), schema.FPS) == length
     ramp = (np.full((64, 64, 3), 20 * number, np.uint8) for number in range(10))
     write_video(tmp_path / "one_key_frame.mp4", ramp, schema.FPS)
@@ -196,8 +194,8 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     seen = frames(file)
     np.testing.assert_array_equal(frames(tmp_path / "cut.mp4"), seen[first : first + length])
     monkeypatch.setattr(cutting, "_copied", lambda *_: None)
-    feature = source.info["features"][schema.FRONT_IMAGE]
-    anew = cutting.cut_episode(finished, schema.FRONT_IMAGE, feature, source.row(2), schema.FPS)
+    feature = source.features[schema.FRONT_IMAGE]
+    anew = cutting.cut_episode(finished, schema.FRONT_IMAGE, feature, episode.row, schema.FPS)
     (tmp_path / "anew.mp4").write_bytes(anew)
     difference = np.abs(frames(tmp_path / "anew.mp4").astype(int) - seen[first : first + length])
     assert difference.max() < 12
@@ -280,9 +278,9 @@ def test_the_commands_count_write_and_report(
     assert list(tmp_path.iterdir()) == []
     assert main(["filter", str(unpictured), *where, "--out", str(tmp_path / "part")]) == 0
     assert capsys.readouterr().out == f"2 episodes in {tmp_path / 'part'}\n"
-    assert load_check(tmp_path / "part")["total_episodes"] == 2
+    assert len(Dataset(tmp_path / "part")) == 2
     shares = ["--parts", "train=0.5,validation=0.5", "--by", "object_id", "--json"]
     assert main(["split", str(unpictured), "--out", str(tmp_path / "parts"), *shares]) == 0
     parts = json.loads(capsys.readouterr().out)["parts"]
-    objects = episode_table(unpictured)["object_id"].to_pylist()
+    objects = Dataset(unpictured).table["object_id"].to_pylist()
     assert [len({objects[index] for index in mine}) for mine in parts.values()] == [1, 1]

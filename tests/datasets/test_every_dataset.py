@@ -15,7 +15,7 @@ from sound_demos import POINTS, make_sound_env
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_env_adamanip import make_env as factory
 

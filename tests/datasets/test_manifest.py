@@ -16,8 +16,8 @@ from demos_helpers import fakes, make_spec
 
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest, require_same, write_manifest
-from lerobot_adamanip.datasets.reading import load_check
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -219,7 +219,7 @@ def test_hostile_metadata_are_one_clear_error(copy: Path, canary: Path, refuses:
     info = json.loads(path.read_text())
     INFO[name](info)
     path.write_text(json.dumps(info))
-    refuses(DatasetError, lambda: load_check(copy))
+    refuses(DatasetError, lambda: Dataset(copy))
     refused(copy, canary, refuses)
 
 

@@ -21,13 +21,11 @@ from lerobot_adamanip.collection.parts import Part
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.datasets import output_folder
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.output_folder import COLLECTING, WORK_FOLDERS, lock_output, lock_path, owned_output
-from lerobot_adamanip.datasets.reading import episode_table, load_check
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.datasets.selection import selection_path
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
@@ -110,7 +108,7 @@ def test_links_and_dots_lead_to_the_folder_that_they_name(unpictured: Path, tmp_
     (tmp_path / "here" / "link").symlink_to(tmp_path / "disk" / "dataset")
     filter_episodes(unpictured, ["episode_index=0"], tmp_path / "here" / ".." / "here" / "link")
     assert (tmp_path / "here" / "link").is_symlink()
-    assert load_check(tmp_path / "disk" / "dataset")
+    assert Dataset(tmp_path / "disk" / "dataset")
     assert [path.name for folder in ("disk", "here") for path in (tmp_path / folder).iterdir()] == ["dataset", "link"]
 
 
@@ -212,7 +210,7 @@ def test_a_part_of_a_dataset_is_no_finished_collection(unpictured: Path, tmp_pat
     filter_episodes(unpictured, ["episode_index=0:2"], tmp_path / "part")
     (tmp_path / "part").rename(root)
     assert "does not have the episodes" in refuses(DatasetError, lambda: collect(root, BARE, fakes(), patiently()))
-    assert load_check(root)["total_episodes"] == 2
+    assert len(Dataset(root)) == 2
     assert held(root) == before
 
 
@@ -246,7 +244,7 @@ def test_failed_episodes_of_another_collection_are_not_published(tmp_path: Path,
     assert "other versions" in refuses(DatasetError, lambda: collect(root, hopeless(seed=seed), changed, patiently()))
     assert all(path.exists() for path in kept)
     summary = collect(root, hopeless(seed=seed), fakes(), patiently())
-    assert episode_table(CollectionPaths(root).failed).num_rows == summary.attempted - 1
+    assert Dataset(CollectionPaths(root).failed).table.num_rows == summary.attempted - 1
 
 
 def test_accounts_of_another_collection_are_forgotten(tmp_path: Path) -> None:

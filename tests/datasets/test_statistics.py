@@ -15,13 +15,10 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
-from lerobot_adamanip.datasets.reading import open_dataset
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.datasets.source import Source
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.datasets.statistics import QUANTILES, cloud_statistics
 
 STATS = Path("meta/stats.json")
@@ -79,7 +76,7 @@ def test_a_cloud_has_statistics_by_axis_for_all_points_and_none_by_episode(whole
         names = pq.read_schema(path).names
         assert f"stats/{schema.STATE}/mean" in names
         assert not [name for name in names if name.startswith(f"stats/{schema.POINT_CLOUD}")]
-    assert not [name for name in Source.open(whole).episodes.column_names if name.startswith("stats/")]
+    assert not [name for name in Dataset(whole).table.column_names if name.startswith("stats/")]
 
 
 def test_quantiles_of_clouds_are_true_to_a_tenth_of_a_millimetre() -> None:

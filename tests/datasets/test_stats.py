@@ -14,8 +14,8 @@ from sound_demos import collect_sound
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.merge import merge
-from lerobot_adamanip.datasets.reading import episode_table
+from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.groups import Group
 from lerobot_adamanip.util.errors import DatasetError
@@ -43,12 +43,12 @@ def test_counts_are_those_of_the_rows(demos: Path) -> None:
     assert sum(count * episodes for count, episodes in found.failures.items()) == overall.failed_tries
     assert found.length_summary()["mean"] == pytest.approx(overall.key_frames / 10)
     assert (found.objects, found.rows) == (2, len(rows))
-    assert found.late == sum(episode_table(demos)["late"].to_pylist())
+    assert found.late == sum(Dataset(demos).table["late"].to_pylist())
 
 
 def test_groups_part_the_episodes(demos: Path) -> None:
     groups = read_stats(demos).groups
-    table = episode_table(demos).to_pylist()
+    table = Dataset(demos).table.to_pylist()
     locked = [json.loads(row["hidden_state"])["locked"] for row in table if row["object_id"] == "door_001"]
     assert groups[Group("category", "door")].episodes == groups[Group("category", "safe")].episodes == 5
     assert groups[Group("hidden", "door: locked")].episodes == sum(locked)

@@ -18,10 +18,8 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cutting
 from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
 from lerobot_adamanip.datasets.encoding import encoder_like
-from lerobot_adamanip.datasets.filter import filter_episodes
-from lerobot_adamanip.datasets.merge import merge
-from lerobot_adamanip.datasets.split import split_episodes
 from lerobot_adamanip.hub.staging import stage_dataset
 from lerobot_adamanip.util.errors import DatasetError
 

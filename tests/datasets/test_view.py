@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import json
 import shutil
-import sys
 from collections import Counter
 from pathlib import Path
 
@@ -19,10 +18,7 @@ from PIL import Image
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
-from lerobot_adamanip.datasets.episode_facts import recoveries
-from lerobot_adamanip.datasets.view import viewer
-from lerobot_adamanip.datasets.view.episode import ViewedEpisode, read_episode
-from lerobot_adamanip.datasets.view.picture import draw
+from lerobot_adamanip.datasets.view import ShownEpisode, draw, read_episode
 
 ROOT = Path(__file__).resolve().parents[2]
 SAFE = Path(__file__).with_name("safe_episode")
@@ -36,7 +32,7 @@ SIMILAR = 4.0
 
 
 @pytest.fixture(scope="module")
-def safe() -> ViewedEpisode:
+def safe() -> ShownEpisode:
     return read_episode(SAFE, 0)
 
 
@@ -45,7 +41,7 @@ def rows() -> dict[str, np.ndarray]:
     return {name: np.asarray(table[name].to_pylist()) for name in table.column_names}
 
 
-def test_an_episode_is_read_as_it_was_recorded(safe: ViewedEpisode) -> None:
+def test_an_episode_is_read_as_it_was_recorded(safe: ShownEpisode) -> None:
     columns = rows()
     np.testing.assert_array_equal(
         safe.clouds, columns[schema.POINT_CLOUD].astype(np.float32).reshape(safe.clouds.shape)
@@ -54,12 +50,12 @@ def test_an_episode_is_read_as_it_was_recorded(safe: ViewedEpisode) -> None:
     np.testing.assert_array_equal(safe.tools, columns[schema.STATE][:, :10].astype(np.float32))
     np.testing.assert_array_equal(safe.goals, columns[schema.EXECUTED][:-1].astype(np.float32))
     np.testing.assert_array_equal(safe.effort, columns[schema.EFFORT].astype(np.float32))
-    assert safe.key_frames == len(columns["index"]) - 1 == 21
+    assert len(safe.goals) == len(columns["index"]) - 1 == 21
     tried = np.flatnonzero(columns[schema.TRIED][:-1] >= 0).tolist()
     assert [each.key_frame for each in safe.tries] == tried
     failed = columns[schema.FAILED][tried].tolist()
     assert [each.failed for each in safe.tries] == failed
-    assert sum(each.recovers for each in safe.tries) == recoveries(failed) == 1
+    assert sum(each.recovers for each in safe.tries) == 1
     assert [each.joint for each in safe.tries] == ["door", *["knob"] * 3, *["door"] * 4]
     assert safe.title.startswith("episode 0 · safe_004 · hidden: direction 1, knob_range 1.26, locked true")
     assert safe.title.endswith("success after 2 failed tries")
@@ -75,7 +71,7 @@ def drawn(figure: Figure) -> Counter[str]:
     return found
 
 
-def test_a_picture_shows_path_goals_tries_phases_and_effort_where_they_were(safe: ViewedEpisode) -> None:
+def test_a_picture_shows_path_goals_tries_phases_and_effort_where_they_were(safe: ShownEpisode) -> None:
     assert safe.phases[:3] == (Phase.APPROACH, Phase.APPROACH, Phase.GRASP)
     runs = len(list(itertools.groupby(safe.phases)))
     figure = draw(safe)
@@ -90,28 +86,14 @@ def test_a_picture_shows_path_goals_tries_phases_and_effort_where_they_were(safe
     np.testing.assert_allclose(np.stack(marks._offsets3d).T, safe.tools[ended, :3], atol=1e-6)
 
 
-def test_the_picture_in_the_documents_is_up_to_date_and_needs_no_viewer(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_picture_in_the_documents_is_up_to_date(tmp_path: Path) -> None:
     """If not: `adamanip view tests/datasets/safe_episode --out docs/images/view.png`."""
-    monkeypatch.setitem(sys.modules, "rerun", None)
     assert main(["view", str(SAFE), "--out", str(tmp_path / "view.png")]) == 0
     assert [path.name for path in tmp_path.iterdir()] == ["view.png"]
     with Image.open(tmp_path / "view.png") as made, Image.open(PICTURE) as stored:
         pixels = [np.asarray(each.convert("RGB"), dtype=float) for each in (made, stored)]
     assert np.abs(pixels[0] - pixels[1]).mean() < SIMILAR
     assert PICTURE.stat().st_size < MOST_BYTES
-
-
-def test_pictures_are_shown_where_there_are_any(finished: Path, unpictured: Path, tmp_path: Path) -> None:
-    from rerun.experimental import RrdReader
-
-    seen = read_episode(finished, 2, images=True)
-    assert seen.images is not None
-    assert seen.images.shape == (len(seen.tools), 64, 64, 3)
-    assert read_episode(unpictured, 2, images=True).images is None
-    viewer.save(seen, tmp_path / "x.rrd")
-    assert "/camera" in {chunk.entity_path for chunk in RrdReader(tmp_path / "x.rrd").stream()}
 
 
 def test_what_is_not_known_is_left_out(tmp_path: Path) -> None:
@@ -136,49 +118,12 @@ def test_what_is_not_known_is_left_out(tmp_path: Path) -> None:
     assert drawn(draw(bare))["path"] == 22
 
 
-def test_what_cannot_be_shown_is_one_clear_error(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(sys.modules, "rerun", None)
+def test_what_cannot_be_shown_is_one_clear_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for options, said in (
         ([str(SAFE), "--episode", "1", "--out", str(tmp_path / "x.png")], "No such episode"),
         ([str(tmp_path / "none"), "--out", str(tmp_path / "x.png")], "There is no dataset"),
         ([str(SAFE), "--out", str(tmp_path / "x.gif")], "Unknown kind of file"),
-        ([str(SAFE), "--out", str(tmp_path / "x.rrd")], r"lerobot[viz]"),
     ):
         assert main(["view", *options]) == 2
         assert said in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
-
-
-# rerun ------------------------------------------------------------------------------------------------------------
-
-
-def test_a_recording_holds_every_row(safe: ViewedEpisode, tmp_path: Path) -> None:
-    from rerun.experimental import RrdReader
-
-    assert main(["view", str(SAFE), "--out", str(tmp_path / "safe.rrd")]) == 0
-    assert [path.name for path in tmp_path.iterdir()] == ["safe.rrd"]
-    reader = RrdReader(tmp_path / "safe.rrd")
-    assert (len(reader.recordings()), len(reader.blueprints())) == (1, 1)
-    chunks = list(reader.stream())
-    count: Counter[str] = Counter()
-    for chunk in chunks:
-        count[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
-    assert {count[name] for name in ("/world/cloud", "/world/tool/path", "/world/tool/pose", "/effort")} == {22}
-    assert {count[name] for name in ("/world/goal/pose", "/world/goal/point")} == {21}
-    assert [count[f"/world/tries/{each.key_frame}"] for each in safe.tries] == [1] * 8
-    assert count["/log"] == 21 + len(safe.tries)
-    clouds = [chunk.to_record_batch() for chunk in chunks if chunk.entity_path == "/world/cloud"]
-    points = [cloud for batch in clouds for cloud in batch["Points3D:positions"].to_pylist()]
-    np.testing.assert_allclose(sorted(np.sum(points, axis=(1, 2))), sorted(safe.clouds.sum(axis=(1, 2))), rtol=1e-4)
-
-
-def test_half_a_recording_is_not_left(safe: ViewedEpisode, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(viewer, "_log_key_frame", fail)
-    with pytest.raises(KeyboardInterrupt):
-        viewer.save(safe, tmp_path / "x.rrd")
     assert list(tmp_path.iterdir()) == []

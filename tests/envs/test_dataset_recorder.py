@@ -14,7 +14,7 @@ from envs_helpers import stay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.reading import episode_records, open_dataset
+from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
@@ -47,10 +47,10 @@ def test_a_policys_episodes_become_a_sound_dataset(envs: Envs, tmp_path: Path) -
 
     assert check(root).findings == []
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine"]
-    first, second = episode_records(root)
-    assert (first["success"], first["expert"], first["hidden_overrides"]) == (False, "my policy", {"mode": 1})
-    assert (second["success"], second["seed"], second["late"]) == (True, 6, False)
-    assert second["episode_record"] == env.episode_record()
+    first, second = Dataset(root).descriptions()
+    assert (first.success, first.expert, first.hidden_overrides) == (False, "my policy", {"mode": 1})
+    assert (second.success, second.seed, second.late) == (True, 6, False)
+    assert second.episode_record == env.episode_record()
     rows = open_dataset(root).hf_dataset.with_format("numpy")
     for column in (schema.ACTION, schema.EXECUTED):
         np.testing.assert_allclose(rows[column][:2], actions, atol=1e-6)  # as commanded, as rotations
@@ -70,7 +70,7 @@ def test_a_killed_program_goes_on_and_loses_no_ended_episode(envs: Envs, tmp_pat
     assert recorder.episodes == 1
     short_episode(recorder, env, 6)
     recorder.save()
-    assert [record["seed"] for record in episode_records(root)] == [5, 6]
+    assert [description.seed for description in Dataset(root).descriptions()] == [5, 6]
 
 
 def test_what_cannot_be_recorded_is_refused(envs: Envs, tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from loopback_hub import LoopbackHub
 from safetensors import safe_open
 from tiny_training import TINY
 
-from lerobot_adamanip.datasets.cards.templates import check_card
+from lerobot_adamanip.datasets.cards import check_card
 from lerobot_adamanip.evaluation.log import read_log
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.scan import Names, scan

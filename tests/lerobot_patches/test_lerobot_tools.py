@@ -19,10 +19,8 @@ from demos_helpers import fakes, make_spec, patiently
 
 from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.layout import CAMERAS, STATS
-from lerobot_adamanip.datasets.reading import open_dataset, read_back
-from lerobot_adamanip.datasets.source import Source
+from lerobot_adamanip.datasets.check.dataset import CAMERAS, check
+from lerobot_adamanip.datasets.dataset import STATS, Dataset, open_dataset, read_back
 
 ROOT = Path(__file__).resolve().parents[2]
 UPSTREAM = ROOT / "docs" / "upstream"
@@ -109,8 +107,8 @@ def test_the_command_keeps_rows_and_statistics(whole: Path, edited: Path, name: 
 @pytest.mark.parametrize("name", CASES)
 def test_the_command_drops_what_it_does_not_know_of(whole: Path, edited: Path, name: str) -> None:
     """docs/datasets.md says so. Once it keeps them, so can the page."""
-    assert Source.open(whole).own_columns.column_names
-    assert not Source.open(edited / name).own_columns.column_names
+    assert Dataset(whole).own_columns.column_names
+    assert not Dataset(edited / name).own_columns.column_names
     assert not [path.name for path in (edited / name / "meta").iterdir() if path.name.startswith(("coll", "cam"))]
 
 

@@ -16,7 +16,8 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.reading import camera_of, episode_table, open_dataset, read_info
+from lerobot_adamanip.datasets.dataset import Dataset, camera_of, open_dataset
+from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import accepted
@@ -68,13 +69,13 @@ def test_every_action_is_an_accepted_target(recording: Path, converted: Path) ->
         assert rows[number][schema.DONE]
         assert bool(rows[number][schema.SUCCESS]) is opens
         number += 1
-    ticks = [json.loads(text)["ticks"] for text in episode_table(converted)["recorded"].to_pylist()]
+    ticks = [json.loads(text)["ticks"] for text in Dataset(converted).table["recorded"].to_pylist()]
     assert number == len(rows) == sum(map(len, ticks))
 
 
 def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
     rows, number = rows_of(converted), 0
-    for text in episode_table(converted)["recorded"].to_pylist():
+    for text in Dataset(converted).table["recorded"].to_pylist():
         for tick in json.loads(text)["ticks"]:
             cloud = as_points(np.asarray(rows[number][schema.POINT_CLOUD]))
             wanted = CAMERA_X + float(depth_at(tick).max()) / 1000.0
@@ -136,7 +137,7 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
     for key in (schema.ACTION, schema.EXECUTED):
         np.testing.assert_array_equal(np.stack([row[key] for row in rows[:-1]]), goals)
     assert [bool(row[schema.SUCCESS]) for row in rows] == [False] * (len(goals) - 1) + [True, True]
-    assert json.loads(episode_table(tmp_path / "made")["recorded"][0].as_py())["corrections"]
+    assert json.loads(Dataset(tmp_path / "made").table["recorded"][0].as_py())["corrections"]
 
 
 def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_path: Path) -> None:

@@ -22,7 +22,7 @@ from recorded_robot import SAVED
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets.reading import read_info
+from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
 from lerobot_adamanip.lerobot_patches.ordered_depth import in_order

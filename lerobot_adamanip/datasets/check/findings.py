@@ -172,8 +172,3 @@ class Report:
         """Returns a JSON-able dictionary."""
         plain = {"root": self.root, "clean": self.clean, "episodes": self.episodes, "rows": self.rows}
         return {**plain, "counts": dict(self.counts), "findings": [asdict(each) for each in self.findings]}
-
-
-def first_line(error: BaseException) -> str:
-    """Returns the first line of an error's message; without a message, its type."""
-    return str(error).partition("\n")[0][:200] or type(error).__name__

@@ -11,11 +11,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD
-from lerobot_adamanip.datasets.check.contract import contract_of
+from lerobot_adamanip.datasets.check.features import contract_of
 from lerobot_adamanip.datasets.check.findings import Report, Rows
-from lerobot_adamanip.datasets.check.layout import STATS, Layout
+from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES, STATS, Dataset
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses
-from lerobot_adamanip.datasets.reading import MAX_STATISTICS_BYTES
 from lerobot_adamanip.datasets.statistics import QUANTILES, row_statistics
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import listed
@@ -35,10 +34,10 @@ Statistics = dict[str, dict[str, NDArray[np.float64]]]
 
 
 def stored_statistics(table: pa.Table) -> Stored:
-    """Returns the statistics of every episode, by row of ``meta/episodes``; skips irregular ones."""
+    """Returns the statistics of every episode, by row of `Dataset.statistics`; skips irregular ones."""
     found: Stored = {}
     for name in table.column_names:
-        values = numeric_array(table[name]) if name.startswith("stats/") and len(table) else None
+        values = numeric_array(table[name]) if len(table) else None
         if values is not None:
             key, _, statistic = name.removeprefix("stats/").rpartition("/")
             found.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64, copy=False)
@@ -99,7 +98,7 @@ def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bo
     return bool(near.all())
 
 
-def dataset_statistics(layout: Layout, stored: Stored) -> Statistics:
+def dataset_statistics(dataset: Dataset, stored: Stored) -> Statistics:
     """Returns the true statistics of a dataset: of all rows; for pictures, LeRobot's aggregation of the episodes'.
 
     Raises:
@@ -107,26 +106,30 @@ def dataset_statistics(layout: Layout, stored: Stored) -> Statistics:
     """
     from lerobot.datasets.compute_stats import aggregate_stats
 
-    pictures = {key: told for key, told in stored.items() if key in layout.picture_keys and set(told) >= NEEDED}
+    pictures = {
+        key: told for key, told in stored.items() if key in dataset.keys_of("video", "image") and set(told) >= NEEDED
+    }
     shapes = {name: (-1,) if name == "count" else (-1, 1, 1) for told in pictures.values() for name in told}
     episodes = [
         {key: {name: each[row].reshape(shapes[name]) for name, each in told.items()} for key, told in pictures.items()}
-        for row in range(len(layout.table) if pictures else 0)
+        for row in range(len(dataset.table) if pictures else 0)
     ]
-    rows = row_statistics([layout.root / name for name in layout.by_data_file()], layout.features)
+    rows = row_statistics(
+        [dataset.root / name for name in dict.fromkeys(episode.file for episode in dataset.episodes)], dataset.features
+    )
     return {**rows, **(aggregate_stats(episodes) if episodes else {})}
 
 
-def repaired_statistics(layout: Layout, stored: Stored) -> Statistics:
+def repaired_statistics(dataset: Dataset, stored: Stored) -> Statistics:
     """Returns the true statistics, with fixed ranges of rotation and gripper if ``meta/stats.json`` has them.
 
     Raises:
         OSError, ArrowException: a data file cannot be read.
     """
-    true = dataset_statistics(layout, stored)
-    fixed = unscaled_poses(true, layout.features)
+    true = dataset_statistics(dataset, stored)
+    fixed = unscaled_poses(true, dataset.features)
     try:
-        told = read_statistics(layout.root)
+        told = read_statistics(dataset.root)
     except (OSError, ValueError):
         return true
     is_fixed = {key for key in told.keys() & true.keys() if _same(told[key], fixed[key], "std")}
@@ -145,28 +148,28 @@ def read_statistics(root: Path) -> Statistics:
         raise ValueError(f"not statistics by column: {error}") from error
 
 
-def check_statistics(layout: Layout, stored: Stored, report: Report) -> None:
+def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
     """Compares ``meta/stats.json`` with the rows, if no episode is damaged.
 
     Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`. What LeRobot's tools leave
     behind (averaged quantiles, no statistics of clouds and added columns) is a warning or accepted.
     """
     try:
-        told = read_statistics(layout.root)
+        told = read_statistics(dataset.root)
     except FileNotFoundError:
         report.add("missing", "statistics of the dataset", STATS)
         return
     except (OSError, ValueError) as error:
         report.add("unreadable", str(error)[:200], STATS)
         return
-    if report.damaged or len(layout.table) != layout.info["total_episodes"]:
+    if report.damaged or len(dataset.table) != dataset.info["total_episodes"]:
         return  # unknown which rows the statistics cover
     try:
-        true = dataset_statistics(layout, stored)
+        true = dataset_statistics(dataset, stored)
     except (OSError, pa.ArrowException):
         return  # `read_rows` reports the file
-    fixed = unscaled_poses(true, layout.features)
-    ours, wrong, averaged = contract_of(layout.features), list[str](), list[str]()
+    fixed = unscaled_poses(true, dataset.features)
+    ours, wrong, averaged = contract_of(dataset.features), list[str](), list[str]()
     for key in sorted(true.keys() - set(OF_PLACE)):
         if key not in told:
             if key in ours:

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.check.layout import Episode, Layout
 from lerobot_adamanip.datasets.check.statistics import Stored
-from lerobot_adamanip.datasets.description import UntrustedValueError, check_video
+from lerobot_adamanip.datasets.dataset import Dataset, Episode
+from lerobot_adamanip.datasets.opening import UntrustedValueError, check_video
 from lerobot_adamanip.util.video import open_mp4
 
 CONTENT = 0.08
@@ -21,26 +21,26 @@ Frame = tuple[float, NDArray[np.float64], tuple[int, int]]
 """Time [s], mean colour (3,) of 0 to 1, height and width [px]."""
 
 
-def check_videos(layout: Layout, stored: Stored, report: Report, progress: Callable[[], None]) -> None:
+def check_videos(dataset: Dataset, stored: Stored, report: Report, progress: Callable[[], None]) -> None:
     """Checks all videos of the episodes; calls ``progress`` after each frame."""
-    for (key, file), listed in layout.by_video_file().items():
-        if not (layout.root / file).is_file():
+    for (key, file), listed in _by_file(dataset).items():
+        if not (dataset.root / file).is_file():
             report.add("missing", f"{key} of this and the following episodes in this file", file, listed[0].number)
             continue
         try:
-            check_video(layout.root / file)
+            check_video(dataset.root / file)
         except UntrustedValueError as error:
             report.add("untrusted", str(error), file, listed[0].number)
             continue
-        frames, broken = _decode(layout.root / file, progress)
-        size = tuple(layout.features[key]["shape"][:2])
+        frames, broken = _decode(dataset.root / file, progress)
+        size = tuple(dataset.features[key]["shape"][:2])
         if frames and frames[0][2] != size:
             report.add("schema", f"{key} has frames of {frames[0][2]}, not {size}", file, listed[0].number)
         end = 0
         for episode in sorted(listed, key=lambda each: each.videos[key].start):
-            start = round(episode.videos[key].start * layout.fps)
+            start = round(episode.videos[key].start * dataset.fps)
             end = start + episode.length
-            for found in _check_frames(layout, key, episode, frames[start:end], stored):
+            for found in _check_frames(dataset, key, episode, frames[start:end], stored):
                 if episode.number not in report.damaged:
                     report.add(found[0], found[1], file, episode.number, found[2])
             if end > len(frames):
@@ -57,21 +57,30 @@ def check_videos(layout: Layout, stored: Stored, report: Report, progress: Calla
                 report.add("unlisted", f"{len(frames) - end} frames of {key} after the last episode", file)
 
 
+def _by_file(dataset: Dataset) -> dict[tuple[str, str], list[Episode]]:
+    """Returns (column, video file) -> its episodes, in order."""
+    files: dict[tuple[str, str], list[Episode]] = {}
+    for episode in dataset.episodes:
+        for key, part in episode.videos.items():
+            files.setdefault((key, part.file), []).append(episode)
+    return files
+
+
 def _check_frames(
-    layout: Layout, key: str, episode: Episode, frames: Sequence[Frame], stored: Stored
+    dataset: Dataset, key: str, episode: Episode, frames: Sequence[Frame], stored: Stored
 ) -> Iterator[tuple[str, str, int | None]]:
     """Yields findings (kind, message, frame) about an episode's frame times and mean colour."""
-    begin = round(episode.videos[key].start * layout.fps)
+    begin = round(episode.videos[key].start * dataset.fps)
     for number, (time, *_) in enumerate(frames):
-        due = (begin + number) / layout.fps
+        due = (begin + number) / dataset.fps
         if abs(time - due) > 1e-3:
             yield "timestamp", f"a frame of {key} is shown at {time:.3f} s, not {due:.3f}", number
     means = stored.get(key, {}).get("mean")
-    is_depth = (layout.features[key].get("info") or {}).get("is_depth_map", False)
+    is_depth = (dataset.features[key].get("info") or {}).get("is_depth_map", False)
     if means is None or means.shape[1] != 3 or is_depth or len(frames) < episode.length:
         return
     shown = np.mean([colour for _, colour, _ in frames], axis=0)
-    recorded = means[layout.row_of[episode.number]]
+    recorded = means[dataset.row_of[episode.number]]
     if np.abs(shown - recorded).max() > CONTENT:
         told = f"{key}: mean colour {shown.round(2).tolist()}, recorded {recorded.round(2).tolist()}"
         yield "video-content", told, None

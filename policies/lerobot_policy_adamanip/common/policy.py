@@ -12,7 +12,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.pointcloud import Workspace, as_points
 from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
-from lerobot_adamanip.datasets.reading import camera_of, workspace_of
+from lerobot_adamanip.datasets.dataset import camera_of, workspace_of
 from lerobot_adamanip.util.errors import ConfigurationError, listed
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
@@ -126,7 +126,7 @@ class CloudPolicy(PreTrainedPolicy):
         import draccus
         from huggingface_hub import ModelCard
 
-        from lerobot_adamanip.datasets.cards.templates import check_card
+        from lerobot_adamanip.datasets.cards import check_card
         from lerobot_adamanip.hub.model_card import Checkpoint, model_card
         from lerobot_adamanip.hub.portable_config import shareable
 

@@ -8,7 +8,7 @@ from typing import Any
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.datasets.check.findings import Report
-from lerobot_adamanip.datasets.check.layout import INFO
+from lerobot_adamanip.datasets.opening import INFO
 from lerobot_adamanip.hardware.features import is_dense, names_of
 
 OF_LEROBOT: Mapping[str, str] = {

@@ -1,4 +1,4 @@
-"""Checks of ``meta/info.json``, texts and video files of a dataset that others made, before anything is passed on.
+"""Open a dataset that others made: checks of ``meta/info.json``, texts and video files, and the errors of opening.
 
 LeRobot, FFmpeg, cards and terminals interpret some values: encoder options, templates of paths, playlists, markup,
 control characters. A value that neither LeRobot nor this project writes is refused.
@@ -11,6 +11,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.contract.schema import POINT_CLOUD
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import (
     Check,
     choice,
@@ -22,15 +26,15 @@ from lerobot_adamanip.util.json_fields import (
     number,
     optional,
     parse,
+    read,
     text,
 )
 from lerobot_adamanip.util.video import is_mp4
 
+INFO = "meta/info.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 """LeRobot's templates. Datasets with other paths in their metadata are refused: those could point anywhere."""
-
-
 VERSION = "v3.0"
 """LeRobot's format of datasets."""
 
@@ -158,3 +162,115 @@ def check_video(path: Path) -> None:
     """Raises `UntrustedValueError` for a file that is no MP4, such as a playlist, whose entries FFmpeg would open."""
     if not is_mp4(path):
         raise UntrustedValueError(f"{path.name} is no MP4 file, so FFmpeg might read it as a list of other files")
+
+
+# Opening --------------------------------------------------------------------------------------------------------------
+
+
+def read_info(folder: Path) -> dict[str, Any]:
+    """Returns ``meta/info.json`` after checking it.
+
+    Raises:
+        OSError: it does not exist.
+        OtherFormatError: the dataset has another format.
+        UntrustedValueError: a value is not one that LeRobot or this project writes.
+        ValueError: it is not JSON, or lacks a field.
+    """
+    return check_info(read(folder / INFO))
+
+
+def checked_info(folder: Path) -> dict[str, Any]:
+    """Returns `read_info` of an absolute folder; raises `DatasetError` for each of its errors."""
+    require_dataset(folder)
+    try:
+        return read_info(folder)
+    except UntrustedValueError as error:
+        raise untrusted(folder, error) from error
+    except OtherFormatError as error:
+        raise DatasetError(
+            "This dataset has another format.",
+            got=f"{as_typed(folder)}: {error}",
+            allowed=f"format {VERSION} of LeRobot",
+            hint=f"{conversion_command(folder)}, which converts format v2.1",
+        ) from error
+    except (OSError, ValueError) as error:
+        raise damaged(folder, f"{INFO}: {error}") from error
+
+
+def conversion_command(folder: Path) -> str:
+    """Returns LeRobot's command that converts a dataset from format v2.1."""
+    module = "lerobot.scripts.convert_dataset_v21_to_v30"
+    return f"python -m {module} --repo-id=local/{folder.name} --root={as_typed(folder)} --push-to-hub=false"
+
+
+def require_dataset(root: str | Path) -> Path:
+    """Returns the absolute folder of a dataset, complete or not.
+
+    Raises:
+        DatasetError: there is none; it names an unfinished collection, or datasets in the folder.
+    """
+    folder = Path(root).absolute()
+    if (folder / INFO).exists() or any(folder.glob("data/*/*.parquet")):
+        return folder
+    partial, shown = CollectionPaths(folder.resolve()), as_typed(folder)
+    if partial.partial.is_dir():
+        done = len(list(partial.episodes.glob("*.safetensors")))
+        raise DatasetError(
+            "This dataset is not finished.",
+            got=f"{done} episodes in {partial.partial}",
+            allowed=f"a complete dataset at {folder}",
+            hint="the same `adamanip collect` command; it resumes",
+        )
+    got, hint = shown, f"adamanip collect {shown} --category safe"
+    if folder.is_dir():
+        inside = sorted(as_typed(path.parent.parent) for path in folder.glob(f"*/{INFO}"))
+        got = f"{shown}, a folder with other files" if any(folder.iterdir()) else f"{shown}, an empty folder"
+        hint = f"{inside[0]}, which is a dataset" if inside else "another folder"
+    elif folder.exists():
+        got, hint = f"{shown}, a file", "the folder of a dataset"
+    raise DatasetError("There is no dataset.", got=got, allowed=f"a folder with {INFO}", hint=hint)
+
+
+def as_typed(folder: Path) -> str:
+    """Returns a folder's path as a user types it: relative if it is below the working directory."""
+    here = Path.cwd()
+    return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+
+
+def first_line(error: BaseException) -> str:
+    """Returns the first line of an error's message; without a message, its type."""
+    return str(error).partition("\n")[0][:200] or type(error).__name__
+
+
+def recording_error(folder: Path, features: Mapping[str, Any]) -> DatasetError:
+    """Returns the error for a robot's recording where a dataset of key frames is needed."""
+    name = as_typed(folder)
+    hint = f"adamanip keyframes {name} --out {name}-keyframes"
+    if not any(key.endswith(DEPTH_SUFFIX) for key in features):
+        hint = "lerobot-record with a camera that tells depth: this recording has none to make clouds of"
+    return DatasetError(
+        "This is a recording of ticks, not a dataset of key frames.",
+        got=f"{name}, without {POINT_CLOUD}",
+        allowed="a dataset of `adamanip collect` or `adamanip keyframes`",
+        hint=hint,
+    )
+
+
+def damaged(folder: Path, problem: object) -> DatasetError:
+    """Returns the error for a half written or damaged dataset."""
+    return DatasetError(
+        "This dataset is half written or damaged.",
+        got=f"{folder}: {problem}",
+        allowed="complete Parquet, JSON and video files",
+        hint=f"adamanip check {as_typed(folder)} --repair, which repairs counts and statistics and lists other damage",
+    )
+
+
+def untrusted(folder: Path, problem: object) -> DatasetError:
+    """Returns the error for a value of a dataset that could make a library do something else."""
+    return DatasetError(
+        "This dataset has a value that is not passed on to other programs.",
+        got=f"{folder}: {problem}"[:400],
+        allowed="values that LeRobot or `adamanip` writes",
+        hint="a copy of the dataset from a source that you trust",
+    )

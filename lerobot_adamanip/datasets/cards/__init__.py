@@ -1,1 +1,0 @@
-"""Dataset cards for the Hub."""

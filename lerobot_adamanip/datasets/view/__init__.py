@@ -1,1 +1,0 @@
-"""Show an episode: as a picture, and in rerun."""
