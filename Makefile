@@ -40,7 +40,7 @@ test: pictures  ## all tests but the nightly ones: under ten minutes on two core
 	$(PYTEST) -m "not nightly"
 
 # Laws that need no process, no simulator and no dataset.
-QUICK := tests/test_architecture.py tests/test_golden.py tests/test_language.py tests/contract tests/evaluation tests/experts tests/mechanisms
+QUICK := tests/test_architecture.py tests/test_golden.py tests/contract tests/evaluation tests/experts tests/mechanisms
 quick: .venv/.installed  ## format, lint, types, layers, and laws that need no process: under 90 seconds
 	$(MAKE) --no-print-directory -j2 check quick-tests
 

@@ -1,6 +1,6 @@
-"""Writes docs/command_line/*.md and docs/environments.md from the source of the options.
+"""Writes the site's pages of commands and environments into a folder: ``python scripts/make_reference.py FOLDER``.
 
-Run ``python scripts/make_reference.py``. With ``--check`` it only lists outdated pages.
+They come from the source of the options. scripts/site_hooks.py runs this while the site is built.
 """
 
 from __future__ import annotations
@@ -15,13 +15,11 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from check_common import ROOT, document_command
 from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.cli.main import COMMANDS, load
 from lerobot_adamanip.contract.categories import CATEGORIES
 
-COMMAND_PAGES, ENVIRONMENTS = ROOT / "docs" / "command_line", ROOT / "docs" / "environments.md"
 GROUPS = {
     "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes")),
     "datasets": ("Work with datasets", ("check", "stats", "view", "merge", "filter", "split", "push")),
@@ -33,7 +31,6 @@ IN_PYTHON = {
     **dict.fromkeys(("task", "max_parallel_tasks", "fps"), ""),
 }  # fmt: skip
 """Option of LeRobot's commands -> option of `KeyframeEnv`, where the two differ."""
-HEAD = "Generated from the source by `python scripts/make_reference.py`; a test compares the two.\n"
 
 
 class Option(NamedTuple):
@@ -98,7 +95,7 @@ def _section(name: str) -> str:
     return f"## {name}\n\n{summary}.\n\n```text\n{usage}\n```\n\n{_table(rows)}\n"
 
 
-def _command_pages() -> Iterator[tuple[Path, str]]:
+def _command_pages() -> Iterator[tuple[str, str]]:
     lines = [
         f"| [`{name}`]({page}.md#{name}) | {COMMANDS[name].help} |"
         for page, (_, names) in GROUPS.items()
@@ -106,12 +103,9 @@ def _command_pages() -> Iterator[tuple[Path, str]]:
     ]
     index = "\n".join(["| command | does |", "|---|---|", *lines])
     text = "Every command has `--help`. Those that report numbers have `--json`. A dataset's folder comes first."
-    yield COMMAND_PAGES / "index.md", f"# Command line\n\n{HEAD}\n{text}\n\n{index}\n"
+    yield "command_line/index.md", f"# Command line\n\n{text}\n\n{index}\n"
     for page, (title, names) in GROUPS.items():
-        yield (
-            COMMAND_PAGES / f"{page}.md",
-            "\n".join([f"# Command line: {title.lower()}\n", HEAD, *map(_section, names)]),
-        )
+        yield f"command_line/{page}.md", "\n".join([f"# Command line: {title.lower()}\n", *map(_section, names)])
 
 
 def _environments() -> str:
@@ -130,7 +124,7 @@ def _environments() -> str:
         for name, category in CATEGORIES.items()
     ]
     page = [
-        "# Environments\n", HEAD,
+        "# Environments\n",
         "Options of `lerobot-train` and `lerobot-eval` (`--env.NAME=VALUE`), and of Python, in "
         "`KeyframeEnv(\"safe\", NAME=VALUE)` and `gymnasium.make(\"AdaManipKeyframe-Safe-v0\", NAME=VALUE)`.\n",
         "## Which environments are there?\n",
@@ -144,12 +138,19 @@ def _environments() -> str:
     return "\n".join(page)
 
 
-def documents() -> dict[Path, str]:
-    """Returns page -> text."""
+def pages() -> dict[str, str]:
+    """Returns path on the site -> Markdown."""
     import lerobot_env_adamanip  # noqa: F401  (registers the configurations)
 
-    return {**dict(_command_pages()), ENVIRONMENTS: _environments()}
+    return {**dict(_command_pages()), "environments.md": _environments()}
+
+
+def main(folder: Path) -> None:
+    """Writes the pages into ``folder``."""
+    for path, text in pages().items():
+        (folder / path).parent.mkdir(parents=True, exist_ok=True)
+        (folder / path).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
-    sys.exit(document_command(__doc__, documents))
+    main(Path(sys.argv[1]))

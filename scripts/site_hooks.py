@@ -11,7 +11,11 @@ import fnmatch
 import os
 import posixpath
 import re
+import subprocess
+import sys
+import tempfile
 from collections.abc import Iterator
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -53,7 +57,7 @@ def on_config(config: MkDocsConfig) -> MkDocsConfig:
 def on_files(files: Files, config: MkDocsConfig) -> Files:
     """Adds the home page, all files outside docs/ that are linked or in the nav, and the API reference."""
     root = Path(config.config_file_path).parent
-    for file in reference_pages(config):
+    for file in chain(reference_pages(config), option_pages(config)):
         files.append(file)
     wanted = [home(file.src_uri) for file in files.documentation_pages()]
     wanted += ["README.md", *(home(entry) for entry in entries(config.nav or []) if entry.startswith(f"{OUTSIDE}/"))]
@@ -142,6 +146,20 @@ def reference_pages(config: MkDocsConfig) -> Iterator[File]:
     for title, modules in config.extra.get("reference", {}).items():
         text = "\n".join([f"# {title}", *(f"\n::: {module}" for module in modules)])
         yield File.generated(config, f"reference/{title.lower().replace(' ', '_')}.md", content=text + "\n")
+
+
+def option_pages(config: MkDocsConfig) -> Iterator[File]:
+    """Yields the pages that the program `extra.option_pages` writes: commands and environments with their options.
+
+    It imports the plugin, so it runs in a process of its own.
+    """
+    from mkdocs.structure.files import File
+
+    if program := config.extra.get("option_pages"):
+        with tempfile.TemporaryDirectory() as folder:
+            subprocess.run([sys.executable, program, folder], cwd=Path(config.config_file_path).parent, check=True)
+            for path in sorted(Path(folder).rglob("*.md")):
+                yield File.generated(config, path.relative_to(folder).as_posix(), content=path.read_text("utf-8"))
 
 
 def entries(nav: Nav) -> Iterator[str]:

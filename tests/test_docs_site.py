@@ -98,9 +98,11 @@ def test_the_reference_is_read_not_imported(built: tuple[Path, set[str]]) -> Non
     for title, modules in named.items():
         page = article(site, f"reference/{title.lower().replace(' ', '_')}.md")
         assert all(f'id="{module}"' in page for module in modules), title
-    # A field's documentation is the comment above it.
-    said = "Points in observation.point_cloud, in farthest-point order"
-    assert said in plain(article(site, "reference/environments.md"))
+    # A field's documentation is the comment above it, here and on the page of options.
+    comment = "Points in observation.point_cloud, in farthest-point order"
+    for page in ("reference/environments.md", "environments.md"):
+        assert comment in plain(article(site, page))
+    assert 'id="collect"' in article(site, "command_line/collect.md")
 
 
 # A small project under the same settings ----------------------------------------------------------------------------

@@ -72,4 +72,4 @@ def test_the_commands_of_a_document_run_without_a_vulkan_device(document: str, t
             done = run(smallest(words), tmp_path)
             assert done.returncode == 0, f"{line}\n{done.stdout[-3000:]}\n{done.stderr[-6000:]}"
             ran += 1
-    assert ran > 5
+    assert ran > 3

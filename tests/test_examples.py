@@ -1,4 +1,4 @@
-"""Every example runs, shows what it says it shows, and stays short."""
+"""Every example runs, and shows what it says it shows."""
 
 from __future__ import annotations
 
@@ -39,7 +39,6 @@ def test_every_example_is_run_here_and_named_in_the_readme() -> None:
     readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for path in EXAMPLES:
         assert f"examples/{path.name}" in readme
-        assert len(path.read_text(encoding="utf-8").splitlines()) < 60
 
 
 def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:

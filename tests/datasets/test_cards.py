@@ -11,7 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 import check_damages as to
-import make_cards
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
@@ -191,24 +190,6 @@ def test_results_of_an_episode_log_need_its_command(
     (result,) = read_results([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
     assert [(row.metrics.success.count, row.metrics.success.episodes) for row in result.rows] == [(2, 3)]
     refuses(ConfigurationError, lambda: read_results([log], "lerobot-eval --policy.path=/home/x/policy"))
-
-
-CARDS = {"dataset": "dataset", "model": "model", "environment": "model"}
-
-
-@pytest.mark.parametrize("name", CARDS)
-def test_cards_in_the_documents_are_valid_and_tell_of_no_machine(project_root: Path, name: str) -> None:
-    path = project_root / "docs" / "cards" / f"{name}.md"
-    check_card(path.read_text(encoding="utf-8"), CARDS[name])
-    assert scan({path.name: path}, Names.here(project_root), owner="USER") == []
-
-
-def test_the_documents_card_of_the_environments_is_the_present_one(project_root: Path, tmp_path: Path) -> None:
-    (tmp_path / "staged").mkdir()
-    present = make_cards.as_sample((make_cards.environment(tmp_path / "staged").folder / "README.md").read_text())
-    written = (project_root / "docs" / "cards" / "environment.md").read_text()
-    hashes = re.compile(r"`[0-9a-f]{16}`|(?<!`)`(?:python|embreex)[^`]*`")
-    assert hashes.sub("HASH", written) == hashes.sub("HASH", present)
 
 
 def test_templates_are_found_in_a_checkout_and_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
