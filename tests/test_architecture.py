@@ -162,8 +162,8 @@ def test_importing_the_core_changes_nothing_of_the_process() -> None:
 FAMILIES = ("lerobot_adamanip.objects.", "lerobot_adamanip.experts.")
 """Folders whose modules have one interface: the same functions for each category."""
 DEFINED_TWICE = {
-    "main", "apply", "restore", "count", "add", "encode", "decode", "to_json", "Try", "Demonstrations", "angle_between",
-    "matrix_from_rotation_vector", "camera_of", "check_videos", "distance", "in_order", "placement_check", "pose_error",
+    "main", "apply", "restore", "count", "add", "encode", "decode", "to_json", "Demonstrations", "angle_between",
+    "matrix_from_rotation_vector", "camera_of", "distance", "in_order", "placement_check", "pose_error",
 }  # fmt: skip
 """Public names with two meanings. The list only gets shorter."""
 

@@ -299,7 +299,8 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     values |= {"policy": "POLICY"} if spec.policy else {"policy": None, "expert_share": None}
     options = {f"--{name.replace('_', '-')}": value for name, value in values.items() if value is not None}
     words = [name if value is True else f"{name} {value}" for name, value in options.items() if value is not False]
-    line = " ".join([f"adamanip collect {folder}", *words, *([] if images else ["--no-images"])])
+    words += [] if images else ["--no-images"]  # --image-size requires images
+    line = " ".join([f"adamanip collect {folder}", *words])
     comments = [f"# policy {spec.policy}"] if spec.policy else []
     for name in PYTHON_ONLY:
         if (value := getattr(environment, name)) != getattr(EnvironmentOptions(), name):
