@@ -117,8 +117,8 @@ class CollectionSpec:
 
     def environment_of(self, category: str) -> EnvironmentOptions:
         """Returns the options of the environment for a category's objects; raises `ConfigurationError`."""
-        mine = ",".join(name for name in self.objects if category_of(name) == category)
-        return self.environment.changed(category=category, objects=mine, split=SPLIT, seed_offset=0)
+        ids = ",".join(name for name in self.objects if category_of(name) == category)
+        return self.environment.changed(category=category, objects=ids, split=SPLIT, seed_offset=0)
 
     def items(self) -> list[EpisodeSpec]:
         """Returns the episodes in dataset order: each object's first, then each second (any prefix is balanced)."""

@@ -133,10 +133,10 @@ def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
     path = out / "meta" / "info.json"
     info = read(path)
     for key, feature in info["features"].items():
-        told = [source.features[key].get("info") or {} for source in sources]
-        if any(told):
-            agreed = {name for name, value in told[0].items() if all(each.get(name) == value for each in told)}
-            feature["info"] = {name: value for name, value in told[0].items() if name in agreed}
+        details = [source.features[key].get("info") or {} for source in sources]
+        if any(details):
+            agreed = {name for name, value in details[0].items() if all(each.get(name) == value for each in details)}
+            feature["info"] = {name: value for name, value in details[0].items() if name in agreed}
     box = sources[0].workspace
     if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
         info["features"][POINT_CLOUD].setdefault("info", {}).update(workspace_info(box))

@@ -142,19 +142,19 @@ class EpisodeDescription:
         names = [item.name for item in fields(cls) if item.name in row or not partial]
         if missing := [name for name in names if name not in row]:
             raise ValueError(f"there is no column {missing[0]}")
-        found = {name: parse(_TEXT(name, row[name])) if name in JSON_COLUMNS else row[name] for name in names}
+        values = {name: parse(_TEXT(name, row[name])) if name in JSON_COLUMNS else row[name] for name in names}
         for name, check in _CHECKS.items():
-            if name in found:
-                check(name, found[name])
+            if name in values:
+                check(name, values[name])
             elif name not in _OPTIONAL:
                 raise ValueError(f"there is no column {name}")
-        if found["failed_tries"] > found["tries"]:
-            raise ValueError(f"failed_tries = {found['failed_tries']} of tries = {found['tries']}")
-        if "start" in found:
-            actions = read_start(found["start"])
-            if "late" in found and found["late"] != bool(len(actions)):
-                raise ValueError(f"late is {found['late']}, but start has {len(actions)} actions")
-        return cls(**{"expert": "", **found})
+        if values["failed_tries"] > values["tries"]:
+            raise ValueError(f"failed_tries = {values['failed_tries']} of tries = {values['tries']}")
+        if "start" in values:
+            actions = read_start(values["start"])
+            if "late" in values and values["late"] != bool(len(actions)):
+                raise ValueError(f"late is {values['late']}, but start has {len(actions)} actions")
+        return cls(**{"expert": "", **values})
 
 
 PLAIN_COLUMNS = (

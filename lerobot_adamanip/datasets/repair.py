@@ -123,11 +123,11 @@ def _move_uncounted(done: Repair, dataset: Dataset) -> None:
 def _write_totals(done: Repair) -> None:
     dataset = read_metadata(done.root, Report())
     assert dataset is not None
-    told = {name: dataset.info.get(name) for name in ("total_episodes", "total_frames", "total_tasks")}
-    tasks = len(dataset.tasks) or told["total_tasks"]
+    stored_totals = {name: dataset.info.get(name) for name in ("total_episodes", "total_frames", "total_tasks")}
+    tasks = len(dataset.tasks) or stored_totals["total_tasks"]
     rows = sum(episode.length for episode in dataset.episodes)
     true = {"total_episodes": len(dataset.episodes), "total_frames": rows, "total_tasks": tasks}
-    if told != true:
+    if stored_totals != true:
         info = {**dataset.info, **true, "splits": {"train": f"0:{len(dataset.episodes)}"}}
         done.replace(done.root / INFO, info, f"{len(dataset.episodes)} episodes, {rows} rows, counted again")
         dataset.info.update(true)

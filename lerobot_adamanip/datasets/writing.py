@@ -92,10 +92,10 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
         # LeRobot's tools write statistics of each coordinate of a cloud, which are most of the file.
         names = [name for name in pq.read_schema(path).names if not name.startswith(f"stats/{schema.POINT_CLOUD}/")]
         table = pq.read_table(path, columns=names)
-        mine = added.take(table["episode_index"])
-        for name in mine.column_names:
+        values = added.take(table["episode_index"])
+        for name in values.column_names:
             if name not in table.column_names:
-                table = table.append_column(name, mine[name])
+                table = table.append_column(name, values[name])
         write_episodes(path, table)
 
 

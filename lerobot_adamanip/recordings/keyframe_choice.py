@@ -126,8 +126,8 @@ def choose_key_frames(episode: DenseEpisode, fps: int, options: KeyFrameOptions 
     stay = np.concatenate([episode.state[rows[-1], : schema.GRIPPER_DIM], [episode.sent[accepted[-1], -1]]])
     actions = np.concatenate([episode.sent[accepted], stay[None]]).astype(np.float32)
     actions[:, schema.GRIPPER_DIM] = actions[:, schema.GRIPPER_DIM] > 0.5
-    told = [_outcome(episode, at, target, chosen) for at, target in zip(rows[1:], actions[:-1], strict=True)]
-    return ChosenKeyFrames(rows, accepted, actions, np.array([*told, Outcome.REACHED], np.int64))
+    outcomes = [_outcome(episode, at, target, chosen) for at, target in zip(rows[1:], actions[:-1], strict=True)]
+    return ChosenKeyFrames(rows, accepted, actions, np.array([*outcomes, Outcome.REACHED], np.int64))
 
 
 def trajectory_of(
@@ -150,17 +150,17 @@ def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
 
     Fingers that close on a bottle cap stay more than half open.
     """
-    wanted, opening = episode.sent[:, schema.GRIPPER_DIM] > 0.5, episode.state[:, schema.GRIPPER_DIM]
-    moments, found = _moments(episode, fps), np.empty(len(episode), bool)
+    asked_open, opening = episode.sent[:, schema.GRIPPER_DIM] > 0.5, episode.state[:, schema.GRIPPER_DIM]
+    moments, is_open = _moments(episode, fps), np.empty(len(episode), bool)
     now, since = bool(opening[0] > 0.5), 0
     for tick in range(len(episode)):
-        since = tick if tick and wanted[tick] != wanted[tick - 1] else since
-        crossed = (opening[tick] > 0.5) == wanted[tick]
+        since = tick if tick and asked_open[tick] != asked_open[tick - 1] else since
+        crossed = (opening[tick] > 0.5) == asked_open[tick]
         begun = moments[tick] - moments[since] >= _FINGERS_BEGIN
         rests = begun and abs(opening[tick] - opening[tick - 1]) < _FINGERS_REST
-        now = bool(wanted[tick]) if crossed or rests else now
-        found[tick] = now
-    return found
+        now = bool(asked_open[tick]) if crossed or rests else now
+        is_open[tick] = now
+    return is_open
 
 
 def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -175,9 +175,9 @@ def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.
 
 def _moments(episode: DenseEpisode, fps: int) -> NDArray[np.float64]:
     """Returns each row's measurement time (T,) [s]; computed from the rate if the timestamps are constant."""
-    told = episode.stamp
-    if np.isfinite(told).all() and told[-1] - told[0] > _SHORTEST:
-        return told
+    stamps = episode.stamp
+    if np.isfinite(stamps).all() and stamps[-1] - stamps[0] > _SHORTEST:
+        return stamps
     return np.arange(len(episode)) / fps
 
 

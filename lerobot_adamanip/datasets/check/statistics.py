@@ -35,13 +35,13 @@ Statistics = dict[str, dict[str, NDArray[np.float64]]]
 
 def stored_statistics(table: pa.Table) -> Stored:
     """Returns the statistics of every episode, by row of `Dataset.statistics`; skips irregular ones."""
-    found: Stored = {}
+    result: Stored = {}
     for name in table.column_names:
         values = numeric_array(table[name]) if len(table) else None
         if values is not None:
             key, _, statistic = name.removeprefix("stats/").rpartition("/")
-            found.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64, copy=False)
-    return found
+            result.setdefault(key, {})[statistic] = values.reshape(len(values), -1).astype(np.float64, copy=False)
+    return result
 
 
 def check_episode_statistics(
@@ -74,27 +74,27 @@ def check_episode_statistics(
             report.add("episode-statistics", f"they differ from its rows: {listed(wrong)}", where.file, number)
 
 
-def _are_of(told: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bool:
+def _are_of(stored: Mapping[str, NDArray[np.float64]], values: NDArray[Any]) -> bool:
     """Returns whether statistics (D,) match an episode's values (T, ...); NaN is a difference."""
     numbers = values.astype(np.int8) if values.dtype == bool else values
     points = numbers.reshape(-1, values.shape[-1] if values.ndim > 1 else 1)
-    if any(each.shape != points.shape[1:] for name, each in told.items() if name != "count"):
+    if any(each.shape != points.shape[1:] for name, each in stored.items() if name != "count"):
         return False
     lowest, highest = (points.min(axis=0).astype(np.float64), points.max(axis=0).astype(np.float64))
     largest = np.maximum(np.abs(lowest), np.abs(highest)) + 1e-6
     rounding = _ROUNDING + _ROUNDING_EACH * len(points)
-    near = np.abs(told["min"] - lowest) <= _ROUNDING * largest
-    near &= np.abs(told["max"] - highest) <= _ROUNDING * largest
-    near &= np.abs(told["mean"] - points.mean(axis=0, dtype=np.float64)) <= rounding * largest
+    near = np.abs(stored["min"] - lowest) <= _ROUNDING * largest
+    near &= np.abs(stored["max"] - highest) <= _ROUNDING * largest
+    near &= np.abs(stored["mean"] - points.mean(axis=0, dtype=np.float64)) <= rounding * largest
     # A difference of squares in float32 has the rounding error of the squares.
-    near &= np.abs(told["std"] ** 2 - points.var(axis=0, dtype=np.float64)) <= rounding * largest**2
-    near &= told["count"] == len(values)
-    if len(values) > 1 and (names := [name for name in QUANTILES if name in told]):
-        shares, found = np.array([QUANTILES[name] for name in names]), np.stack([told[name] for name in names])
-        slack = 2.0 * (highest - lowest) / _BINS + 1e-6 * (1.0 + np.abs(found))
+    near &= np.abs(stored["std"] ** 2 - points.var(axis=0, dtype=np.float64)) <= rounding * largest**2
+    near &= stored["count"] == len(values)
+    if len(values) > 1 and (names := [name for name in QUANTILES if name in stored]):
+        shares, quantiles = np.array([QUANTILES[name] for name in names]), np.stack([stored[name] for name in names])
+        slack = 2.0 * (highest - lowest) / _BINS + 1e-6 * (1.0 + np.abs(quantiles))
         # Equal values may begin right at the share.
         lower, upper = (np.quantile(points, shares + by, axis=0, method="inverted_cdf") for by in (-1e-6, 1e-6))
-        near &= ((found >= lower - slack) & (found <= upper + slack)).all(axis=0)
+        near &= ((quantiles >= lower - slack) & (quantiles <= upper + slack)).all(axis=0)
     return bool(near.all())
 
 
@@ -129,10 +129,10 @@ def repaired_statistics(dataset: Dataset, stored: Stored) -> Statistics:
     true = dataset_statistics(dataset, stored)
     fixed = unscaled_poses(true, dataset.features)
     try:
-        told = read_statistics(dataset.root)
+        written = read_statistics(dataset.root)
     except (OSError, ValueError):
         return true
-    is_fixed = {key for key in told.keys() & true.keys() if _same(told[key], fixed[key], "std")}
+    is_fixed = {key for key in written.keys() & true.keys() if _same(written[key], fixed[key], "std")}
     return {key: (fixed if key in is_fixed else true)[key] for key in true}
 
 
@@ -141,8 +141,8 @@ def read_statistics(root: Path) -> Statistics:
     content = read(root / STATS, max_bytes=MAX_STATISTICS_BYTES)
     try:
         return {
-            key: {name: np.asarray(value, np.float64).reshape(-1) for name, value in told.items()}
-            for key, told in content.items()
+            key: {name: np.asarray(value, np.float64).reshape(-1) for name, value in columns.items()}
+            for key, columns in content.items()
         }
     except (AttributeError, TypeError) as error:
         raise ValueError(f"not statistics by column: {error}") from error
@@ -155,7 +155,7 @@ def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
     behind (averaged quantiles, no statistics of clouds and added columns) is a warning or accepted.
     """
     try:
-        told = read_statistics(dataset.root)
+        written = read_statistics(dataset.root)
     except FileNotFoundError:
         report.add("missing", "statistics of the dataset", STATS)
         return
@@ -171,11 +171,11 @@ def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
     fixed = unscaled_poses(true, dataset.features)
     ours, wrong, averaged = contract_of(dataset.features), list[str](), list[str]()
     for key in sorted(true.keys() - set(OF_PLACE)):
-        if key not in told:
+        if key not in written:
             if key in ours:
                 (averaged if key == POINT_CLOUD else wrong).append(f"none of {key}")
             continue
-        names = [name for name in true[key] if not any(_same(told[key], of[key], name) for of in (true, fixed))]
+        names = [name for name in true[key] if not any(_same(written[key], of[key], name) for of in (true, fixed))]
         if names:
             only_quantiles = key == POINT_CLOUD or set(names) <= set(QUANTILES)
             (averaged if only_quantiles else wrong).append(f"{key} ({listed(names)})")
@@ -185,9 +185,9 @@ def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
         report.add("averaged", f"not those of all rows: {listed(averaged)}", STATS)
 
 
-def _same(told: Mapping[str, NDArray[np.float64]], right: Mapping[str, NDArray[np.float64]], name: str) -> bool:
-    found, wanted = told.get(name), right[name].reshape(-1)
-    if found is None or found.shape != wanted.shape:
+def _same(stored: Mapping[str, NDArray[np.float64]], right: Mapping[str, NDArray[np.float64]], name: str) -> bool:
+    value, expected = stored.get(name), right[name].reshape(-1)
+    if value is None or value.shape != expected.shape:
         return False
     scale = max(float(np.abs(right["min"]).max()), float(np.abs(right["max"]).max())) + 1e-6
-    return bool(np.all(np.abs(found - wanted) <= 1e-4 * scale + 1e-6 * np.abs(wanted)))
+    return bool(np.all(np.abs(value - expected) <= 1e-4 * scale + 1e-6 * np.abs(expected)))
