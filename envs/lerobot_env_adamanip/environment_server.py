@@ -17,14 +17,14 @@ from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud
 
 PREVIEW = "preview"
-"""Camera whose images are for people only: shaded shapes without a Vulkan device, and unknown to policies."""
+"""Camera whose images are for people only: ray-cast without a Vulkan device, and unknown to policies."""
 
 
 class ServedEnv(FlatCloud):
     """A `KeyframeEnv` with an image in every observation, because the server shows only observed images.
 
     Observation: ``agent_pos`` (24,), ``effort`` (7,), ``point_cloud`` (3 N,) [m] as in datasets, and ``pixels``:
-        ``front`` (H, W, 3) if images are observed, otherwise `PREVIEW`, rendered or shaded.
+        ``front`` (H, W, 3) if images are observed, otherwise `PREVIEW`, rendered or ray-cast.
 
     Args:
         options: options of the environment.

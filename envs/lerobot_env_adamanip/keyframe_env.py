@@ -331,7 +331,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
 
-        Without a Vulkan device it shows shaded shapes without colours, with a warning.
+        Without a Vulkan device it is drawn by ray casting, with a warning.
         """
         size = self.options.image_size
         if self._image is None:

@@ -91,7 +91,7 @@ def _cast(task: Any, right: float, down: float) -> NDArray[np.float32]:
     """Returns the rays' points, with each ray shifted by an offset [px]; otherwise like `_rendered`."""
     from lerobot_env_adamanip.sim.raycast import RaycastSensor
 
-    camera, bodies = task.cameras.cloud_config, task.cameras.bodies()
+    camera, bodies = task.cameras.cloud_config, task.cameras.bodies
     pixels, points = RaycastSensor(camera, bodies, task.options.workspace, (right, down)).pixels()
     image = np.zeros((camera.width**2, 3), np.float32)
     image[pixels] = points

@@ -178,7 +178,7 @@ def _distances(task: Any, calibration: CameraCalibration) -> list[Any]:
     from lerobot_env_adamanip.sim.raycast import RaycastSensor
 
     cameras, workspace, size = task.cameras, task.options.workspace, task.cameras.cloud_config.width
-    pixels, points = RaycastSensor(cameras.cloud_config, cameras.bodies(), workspace).pixels()
+    pixels, points = RaycastSensor(cameras.cloud_config, cameras.bodies, workspace).pixels()
     depth = np.zeros(size**2, np.uint16)
     depth[pixels] = -points[:, 2]
     depth, dense = depth.reshape(size, size), cameras.points()

@@ -22,6 +22,7 @@ from lerobot_adamanip.contract.pointcloud import Cloud, depth_size
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.sim.articulation import add_visual
+from lerobot_env_adamanip.sim.ray_picture import ray_picture
 from lerobot_env_adamanip.sim.raycast import (
     AROUND,
     Body,
@@ -29,7 +30,6 @@ from lerobot_env_adamanip.sim.raycast import (
     camera_parameters,
     pinhole,
     points_in_world,
-    shaded_picture,
     visible_bodies,
 )
 from lerobot_env_adamanip.sim.renderer import empty_scene, without_reflections
@@ -82,14 +82,18 @@ class Cameras:
         return self._scene(self.config(name)).take()
 
     def picture(self) -> NDArray[np.uint8]:
-        """Returns the front camera's image (H, W, 3); without a renderer, of shapes without their own colours."""
+        """Returns the front camera's image (H, W, 3); without a renderer, by ray casting."""
         rendered = self._front
-        return rendered.take() if rendered is not None else shaded_picture(self.config(), self.bodies())
+        return rendered.take() if rendered is not None else self.raycast_image()
+
+    def raycast_image(self, name: str = FRONT) -> NDArray[np.uint8]:
+        """Returns a camera's present image (H, W, 3) without a renderer, see `ray_picture`."""
+        return ray_picture(pinhole(self.config(name)), self.bodies, self.objects.ground_z)
 
     def color_and_depth(self, source: str = "render") -> Pair:
         """Returns the front camera's present colour and depth, of one moment.
 
-        ``source`` is ``render``, or ``raycast`` for shapes without colours. Without a renderer, always ``raycast``.
+        ``source`` is ``render`` or ``raycast``. Without a renderer, always ``raycast``.
         """
         if source == "render" and (rendered := self._front) is not None:
             return rendered.color_and_depth()
@@ -97,16 +101,16 @@ class Cameras:
         pixels, millimetres = self._wide_rays.pixels()
         depth = np.zeros(size * size, np.uint16)
         depth[pixels] = -millimetres[:, 2]
-        return shaded_picture(self.config(), self.bodies()), depth.reshape(size, size)
+        return self.raycast_image(), depth.reshape(size, size)
 
     @functools.cached_property
     def rays(self) -> RaycastSensor:
         """Ray-cast front camera of the workspace."""
-        return RaycastSensor(self.cloud_config, self.bodies(), self.options.workspace)
+        return RaycastSensor(self.cloud_config, self.bodies, self.options.workspace)
 
     @functools.cached_property
     def _wide_rays(self) -> RaycastSensor:
-        return RaycastSensor(self.config(), self.bodies(), AROUND)
+        return RaycastSensor(self.config(), self.bodies, AROUND)
 
     @property
     def depth_scene(self) -> RenderedCamera:
@@ -119,7 +123,7 @@ class Cameras:
         try:
             return self._scene(self.config())
         except SimulatorError as error:
-            _warn_once("Videos show shapes without colours: " + str(error).split("\n")[0])
+            _warn_once("Images are drawn by ray casting: " + str(error).split("\n")[0])
             return None
 
     def _scene(self, config: CameraConfig) -> RenderedCamera:
@@ -129,6 +133,7 @@ class Cameras:
             self._rendered[key] = RenderedCamera(self.objects, self.robot, self.urdf, config, device)
         return self._rendered[key]
 
+    @functools.cached_property
     def bodies(self) -> list[Body]:
         """Returns the bodies for ray casting."""
         return visible_bodies(self.objects.visible, self.robot, self.urdf)

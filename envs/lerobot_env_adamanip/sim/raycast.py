@@ -1,4 +1,4 @@
-"""Pinhole cameras, and depth, clouds and shaded images by ray casting, without a renderer. One ray per pixel.
+"""Pinhole cameras, and depth and clouds by ray casting, without a renderer. One ray per pixel.
 
 This Embree binding has neither instances nor moving meshes. Each link therefore has its own scene, and rays are
 transformed into its frame. The depth of one link bounds the rays cast at the next.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
 from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
+from lerobot_env_adamanip.sim.looks import Look, robot_look, shapes_look
 from lerobot_env_adamanip.sim.triangles import Triangles, robot_triangles, shapes_triangles
 
 if TYPE_CHECKING:  # so that it can be imported without a simulator
@@ -43,15 +44,7 @@ _KEPT_SCENES = 512
 _SPLITS = 3
 """Halvings of a link's triangles: its silhouette is approximated by 2^3 boxes."""
 AROUND = Workspace((-0.8, -1.2, -1.2), (1.8, 1.2, 1.8))
-"""Space in shaded images and in depth images, robot base frame [m]."""
-_BACKGROUND = np.array((0.36, 0.37, 0.40), np.float32)
-_COLORS = np.array(
-    ((0.80, 0.80, 0.82), (0.72, 0.56, 0.36), (0.45, 0.60, 0.78), (0.62, 0.74, 0.50), (0.80, 0.48, 0.42)), np.float32
-)
-"""Colours of the arm, then of the other bodies in turn."""
-_LIGHT = np.array((-0.3, 0.5, 0.8), np.float32)
-"""Direction of the light source in the camera frame, with any length."""
-_AMBIENT = 0.3
+"""Space in depth images, robot base frame [m]."""
 
 
 # Cameras ------------------------------------------------------------------------------------------------------------
@@ -151,13 +144,31 @@ class LinkMesh:
         TriangleMesh(self._scene, triangles)
         self.corners = _corners(_clusters(triangles, _SPLITS))
         """(8 M, 3) corners of M boxes around all triangles [m], link frame."""
+        lower, upper = self.corners.min(0), self.corners.max(0)
+        self.center, self.radius = (lower + upper) / 2, float(np.linalg.norm(upper - lower)) / 2
+        """Sphere around all triangles: centre (3,) and radius [m], link frame."""
 
     def depths(self, origin: NDArray[np.float64], directions: NDArray[np.float32], farthest: Depth) -> Depth:
         """Returns the depth of each ray's hit with this mesh, at most ``farthest`` (N,)."""
-        origins = np.empty_like(directions)
-        origins[:] = origin
-        reached: Depth = self._scene.run(origins, directions, dists=farthest, query="DISTANCE")
+        reached: Depth = self._scene.run(_rows(origin, directions), directions, dists=farthest, query="DISTANCE")
         return np.minimum(reached, farthest)
+
+    def hits(self, origin: NDArray[np.float64], directions: NDArray[np.float32], farthest: Depth) -> dict[str, Any]:
+        """Returns each ray's first hit: ``tfar`` (N,) depth, ``primID`` (N,) triangle or -1, ``u`` and ``v`` (N,)."""
+        met: dict[str, Any] = self._scene.run(_rows(origin, directions), directions, dists=farthest, output=1)
+        return met
+
+    def hides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.bool_]:
+        """Returns whether rays from ``origins`` (N, 3) along one direction (3,) hit this mesh."""
+        hidden: NDArray[np.bool_] = self._scene.run(origins, _rows(direction, origins), query="OCCLUDED") >= 0
+        return hidden
+
+
+def _rows(vector: NDArray[Any], like: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Returns ``vector`` (3,) in every row of an array like ``like`` (N, 3)."""
+    rows = np.empty_like(like)
+    rows[:] = vector
+    return rows
 
 
 def _clusters(triangles: Triangles, splits: int) -> list[Triangles]:
@@ -253,7 +264,7 @@ class RayScene:
     def _view(self, mesh: LinkMesh, pose: Pose) -> _View:
         rotation, shift = self._rotation @ pose[:3, :3], self._rotation @ pose[:3, 3] + self._shift
         corners = mesh.corners @ rotation.T + shift
-        slots = _within(self._slots, self._camera.rectangles(corners))
+        slots = pixels_within(self._slots, self._camera.rectangles(corners))
         return _View(slots[slots >= 0], rotation, shift, float(-corners[:, 2].max()))
 
     def _depths(self, mesh: LinkMesh, view: _View, slots: Slots, farthest: Depth) -> Depth:
@@ -261,7 +272,7 @@ class RayScene:
         return mesh.depths(-view.shift @ view.rotation, directions, farthest)
 
 
-def _within(slots: Slots, rectangles: NDArray[np.int64]) -> Slots:
+def pixels_within(slots: Slots, rectangles: NDArray[np.int64]) -> Slots:
     """Returns the values of ``slots`` (H, W) at the pixels within any of rectangles (M, 4), in scan order."""
     top, left = rectangles[:, :2].min(0).tolist()
     bottom, right = rectangles[:, 2:].max(0).tolist()
@@ -295,12 +306,19 @@ class Body:
     Attributes:
         mesh: triangles of the body.
         entity: SAPIEN's entity, which has the pose.
+        make_look: returns the looks of the mesh's triangles; called for the first image.
         rests: whether it rarely moves: true for an object's links, false for an arm's.
     """
 
     mesh: LinkMesh
     entity: Any
+    make_look: Callable[[], Look]
     rests: bool = False
+
+    @functools.cached_property
+    def look(self) -> Look:
+        """Looks of the mesh's triangles."""
+        return self.make_look()
 
     def pose(self) -> Pose:
         """Returns the present pose (4, 4), world frame [m]."""
@@ -309,11 +327,16 @@ class Body:
 
 def visible_bodies(visible: Iterable[Visible], robot: Any, urdf: Path) -> list[Body]:
     """Returns the bodies for ray casting: visible shapes, and the arm's links from its URDF."""
-    seen = [(body.entity, shapes_triangles(body.shapes)) for body in visible]
-    bodies = [Body(link_mesh(triangles), entity, rests=True) for entity, triangles in seen if len(triangles)]
+    bodies = []
+    for body in visible:
+        if len(triangles := shapes_triangles(body.shapes)):
+            look = functools.partial(shapes_look, body.shapes)
+            bodies.append(Body(link_mesh(triangles), body.entity, look, rests=True))
     meshes, root = _robot_meshes(urdf), robot.links[0].entity
-    links = [link.entity for link in robot.links if link.entity.name in meshes]
-    return [*bodies, *(Body(meshes[entity.name], entity, rests=entity == root) for entity in links)]
+    for entity in (link.entity for link in robot.links if link.entity.name in meshes):
+        look = functools.partial(robot_look, urdf, entity.name)
+        bodies.append(Body(meshes[entity.name], entity, look, rests=entity == root))
+    return bodies
 
 
 @functools.cache
@@ -362,32 +385,3 @@ class RaycastSensor:
         # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
         points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
         return self._scene.pixels[met], np.trunc(points, out=points)
-
-
-def shaded_picture(config: CameraConfig, bodies: Sequence[Body]) -> NDArray[np.uint8]:
-    """Returns an image (H, W, 3) of the bodies at their present poses, without their own colours."""
-    camera = pinhole(config)
-    scene = RayScene(camera, AROUND)
-    depth = scene.empty()
-    owner = np.zeros(len(depth), np.int64)
-    for number, body in enumerate(bodies):
-        before = depth.copy()
-        scene.cast([(body.mesh, body.pose())], depth)
-        owner[depth < before] = 1 + number % (len(_COLORS) - 1) if body.rests else 0
-    met = scene.met(depth)
-    points = np.full((camera.size**2, 3), np.nan, np.float32)
-    points[scene.pixels[met]] = scene.rays[met] * depth[met, None]
-    light = _brightness(points.reshape(camera.size, camera.size, 3)).reshape(-1)
-    picture = np.tile(_BACKGROUND, (camera.size**2, 1))
-    picture[scene.pixels[met]] = _COLORS[owner[met]] * light[scene.pixels[met], None]
-    return np.clip(255 * picture + 0.5, 0, 255).astype(np.uint8).reshape(camera.size, camera.size, 3)
-
-
-def _brightness(points: Cloud) -> NDArray[np.float32]:
-    """Returns the brightness (H, W) of points (H, W, 3), camera frame, from the surface through neighbouring points."""
-    right, down = (np.roll(points, -1, axis=axis) - points for axis in (1, 0))
-    normal = np.cross(down, right)
-    length = np.maximum(np.linalg.norm(normal, axis=2), 1e-12)
-    facing = (normal @ (_LIGHT / np.linalg.norm(_LIGHT))) / length
-    # A pixel without a hit has no surface: it is as dark as a surface that faces away from the light.
-    return np.asarray(np.nan_to_num(_AMBIENT + (1 - _AMBIENT) * np.clip(facing, 0, 1), nan=_AMBIENT), np.float32)

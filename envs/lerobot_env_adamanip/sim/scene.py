@@ -29,6 +29,9 @@ FULL_GC_EVERY = 16
 _FROZEN_BY_PYTHON = 1000
 """Bound of the objects that the interpreter itself freezes at its start."""
 _clears = itertools.count(1)
+AMBIENT_LIGHT = [0.35, 0.35, 0.36]
+DIRECTIONAL_LIGHTS = [[0.9, 0.5, -1.0], [1.5, 1.45, 1.4]], [[0.6, -0.8, -0.6], [0.6, 0.62, 0.7]]
+"""Direction in the world and colour of each light; the first one may cast shadows."""
 _PLINTH, _COLUMN = Material((0.45, 0.36, 0.27), 0.8), Material((0.25, 0.26, 0.28), 0.7)
 
 
@@ -100,9 +103,9 @@ def _builder(scene: ManiSkillScene, shape: Shape) -> Any:
 
 def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
     """Lights the scene from the front and one side."""
-    scene.set_ambient_light([0.35, 0.35, 0.36])
-    scene.add_directional_light([0.9, 0.5, -1.0], [1.5, 1.45, 1.4], shadow=shadow)
-    scene.add_directional_light([0.6, -0.8, -0.6], [0.6, 0.62, 0.7])
+    scene.set_ambient_light(AMBIENT_LIGHT)
+    for number, (direction, color) in enumerate(DIRECTIONAL_LIGHTS):
+        scene.add_directional_light(direction, color, shadow=shadow and number == 0)
 
 
 def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, Any]:

@@ -6,8 +6,9 @@ Round shapes are divided as in SAPIEN's renderer, so that rays hit exactly the r
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ _NONE: Triangles = np.zeros((0, 3, 3), np.float32)
 
 def shapes_triangles(shapes: Iterable[Shape]) -> Triangles:
     """Returns the visible triangles of a link's shapes, (N, 3, 3) [m] in its frame."""
-    return _joined(_placed(shape_triangles(shape), shape.pose_in_link) for shape in shapes if shape.visible)
+    return _joined(placed(shape_triangles(shape), shape.pose_in_link) for shape in shapes if shape.visible)
 
 
 _UNMOVED = 0.01
@@ -95,30 +96,31 @@ def robot_outlines(urdf: Path) -> Mapping[str, NDArray[np.float64]]:
 
 def _visual(urdf: Path, geometry: Geometry) -> Triangles:
     if geometry.kind == "box":
-        return _placed(box_triangles(size / 2 for size in geometry.size), geometry.pose)
+        return placed(box_triangles(size / 2 for size in geometry.size), geometry.pose)
     if geometry.kind != "mesh":
         raise SimulatorError(
             "A robot's visual cannot be cast rays at.", got=f"{geometry.kind} in {urdf}", allowed="mesh, box"
         )
-    corners = _file_triangles(urdf.parent / geometry.mesh) * np.asarray(geometry.size)
-    return _placed(corners.astype(np.float32), geometry.pose)
+    parts = [triangles for triangles, _ in mesh_file_triangles(urdf.parent / geometry.mesh)]
+    corners = np.concatenate(parts) * np.asarray(geometry.size)
+    return placed(corners.astype(np.float32), geometry.pose)
 
 
-def _file_triangles(path: Path) -> NDArray[np.float64]:
-    """Returns a mesh file's triangles (N, 3, 3) as SAPIEN places them, in the file's unit."""
+def mesh_file_triangles(path: Path) -> Iterator[tuple[NDArray[np.float64], Any]]:
+    """Yields the triangles (N, 3, 3) of each mesh in a file as SAPIEN places them, in the file's unit, and the mesh."""
     import trimesh
 
-    scene, parts = trimesh.load_scene(path, process=False), []
+    scene = trimesh.load_scene(path, process=False)
     for node in scene.graph.nodes_geometry:
         pose, name = scene.graph[node]
         mesh = scene.geometry[name]
         unmoved = np.abs(pose - np.eye(4)).max() <= _UNMOVED
         corners = np.asarray(mesh.vertices if unmoved else trimesh.transform_points(mesh.vertices, pose), np.float64)
-        parts.append(corners[mesh.faces])
-    return np.concatenate(parts)
+        yield corners[mesh.faces], mesh
 
 
-def _placed(triangles: Triangles, pose: NDArray[np.float64]) -> Triangles:
+def placed(triangles: Triangles, pose: NDArray[np.float64]) -> Triangles:
+    """Returns triangles (N, 3, 3) at a pose (4, 4)."""
     moved: Triangles = (triangles @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32)
     return moved
 
