@@ -101,8 +101,8 @@ def smooth_normals(triangles: Triangles) -> Floats:
 
 def _area_normals(triangles: Triangles) -> NDArray[np.float64]:
     corners = triangles.astype(np.float64)
-    normals: NDArray[np.float64] = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return normals
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return normals.astype(np.float64, copy=False)
 
 
 def _unit(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
