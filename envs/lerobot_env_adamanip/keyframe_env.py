@@ -74,7 +74,7 @@ class EpisodeLog:
         append_record(self.path, replace(record, provenance=provenance))
 
 
-class Episode:
+class RunningEpisode:
     """Labels, limits and record of one episode, right after a reset of its task; they never enter an observation.
 
     Args:
@@ -211,7 +211,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.render_mode = render_mode
         self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
         self._task: AdaManipTask | None = None
-        self._episode: Episode | None = None
+        self._episode: RunningEpisode | None = None
         log = None if self.options.episode_log is None else Path(self.options.episode_log)
         self._log = None if log is None else EpisodeLog(log, self.options.logged_seeds)
         run_id = None if log is None else self.options.run_id or new_run_id()  # without a log, of no evaluation
@@ -268,7 +268,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
                 _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
 
     def _start_episode(self, task: AdaManipTask) -> None:
-        self._episode = Episode(task, self.options, self._provenance, self._log, **self._seeds)
+        self._episode = RunningEpisode(task, self.options, self._provenance, self._log, **self._seeds)
 
     def restart_episode(self) -> None:
         """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
@@ -348,7 +348,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     # For experts, recorders and reports: `lerobot_adamanip.episode.rollout` -----------------------------------------
 
     @property
-    def episode(self) -> Episode:
+    def episode(self) -> RunningEpisode:
         """Running episode, with its ManiSkill task. Privileged."""
         if self._episode is None:
             raise gym.error.ResetNeeded("No episode is running: call reset() first.")

@@ -99,11 +99,11 @@ class PushCommand:
             )
 
     def _staged(self, into: Path) -> Staged:
-        from lerobot_adamanip.hub.model_index import read_results
+        from lerobot_adamanip.hub.model_index import results_for_card
         from lerobot_adamanip.hub.staging import stage_dataset, stage_environment, stage_model
 
         into.mkdir()
-        results = read_results(self.results, self.results_command)
+        results = results_for_card(self.results, self.results_command)
         if self.kind == "environment":
             from lerobot_adamanip.evaluation.provenance import present_origin
 

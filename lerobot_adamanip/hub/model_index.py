@@ -23,7 +23,7 @@ NO_RESULTS = (
 )
 
 
-def read_results(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
+def results_for_card(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
     """Reads result files of ``adamanip report --out`` and episode logs (``.jsonl``).
 
     Args:

@@ -27,7 +27,7 @@ from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.record import append_record
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
-from lerobot_adamanip.hub.model_index import read_results
+from lerobot_adamanip.hub.model_index import results_for_card
 from lerobot_adamanip.hub.scan import Names, scan
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_env_adamanip.sim import render_device
@@ -162,7 +162,7 @@ def test_an_invalid_card_is_one_clear_error(refuses: Callable[..., str], name: s
 
 
 def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
-    (result,) = read_results([project_root / "results" / "demo.json"])
+    (result,) = results_for_card([project_root / "results" / "demo.json"])
     checkpoint = Checkpoint({"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000)
     text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
     check_card(text, "model")
@@ -186,10 +186,10 @@ def test_results_of_an_episode_log_need_its_command(
     log = tmp_path / "eval.jsonl"
     for seed, success in ((1, True), (2, False), (3, True)):
         append_record(log, record(seed=seed, given_seed=seed, success=success))
-    assert "--results-command" in refuses(ConfigurationError, lambda: read_results([log]))
-    (result,) = read_results([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
+    assert "--results-command" in refuses(ConfigurationError, lambda: results_for_card([log]))
+    (result,) = results_for_card([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
     assert [(row.metrics.success.count, row.metrics.success.episodes) for row in result.rows] == [(2, 3)]
-    refuses(ConfigurationError, lambda: read_results([log], "lerobot-eval --policy.path=/home/x/policy"))
+    refuses(ConfigurationError, lambda: results_for_card([log], "lerobot-eval --policy.path=/home/x/policy"))
 
 
 def test_templates_are_found_in_a_checkout_and_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,7 +21,7 @@ UNET_GROUPS = 8
 
 
 @dataclass(frozen=True)
-class Method:
+class HeadMethod:
     """What a preset decides and no option changes.
 
     Attributes:
@@ -42,10 +42,10 @@ class Method:
 
 
 METHODS = {
-    "fast": Method("anchors", "tool", weight_decay=1e-4),
-    "diffusion": Method("diffusion", "tool"),
-    "dp3": Method("diffusion", "base", step_embed_dim=128),
-    "paper": Method("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256),
+    "fast": HeadMethod("anchors", "tool", weight_decay=1e-4),
+    "diffusion": HeadMethod("diffusion", "tool"),
+    "dp3": HeadMethod("diffusion", "base", step_embed_dim=128),
+    "paper": HeadMethod("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256),
 }
 """``fast``: the head anchors, which is no diffusion. ``diffusion``: the paper's method with this project's tool frame,
 memory of contact events and refinement.
@@ -200,7 +200,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         self._check_horizon()
 
     @property
-    def method(self) -> Method:
+    def method(self) -> HeadMethod:
         """What the preset decides."""
         return METHODS[self.preset]
 
