@@ -23,14 +23,18 @@ from lerobot_adamanip.contract.rotations import Array, pose_from_vector, pose_ve
 from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka, MotionDriver
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
-from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, ServerOptions
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, Served, ServerOptions
+from lerobot_adamanip.hardware.arm_process import server
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.closing import close_all
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig
 from lerobot_adamanip.hardware.teleoperators.devices import AdamanipKeyboard
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, RobotError
+from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 
 BOX = {"box_lower": (0.2, -0.5, 0.0), "box_upper": (0.9, 0.5, 0.8)}
 
@@ -397,3 +401,30 @@ def test_a_device_that_fails_while_it_opens_is_closed() -> None:
         device.connect()
     assert closed == ["keys"]
     assert not device.is_connected
+
+
+def test_a_log_that_cannot_be_written_does_not_leave_the_twin_running(tmp_path: Path) -> None:
+    twin = AdamanipFrankaSim(AdamanipFrankaSimConfig(camera=False, episode_log=str(tmp_path / "log.jsonl")))
+    twin._client, twin._moved = Resource("simulator"), True  # type: ignore[assignment]
+    with pytest.raises(RobotError, match="does not answer"):
+        twin.disconnect()
+    assert closed == ["simulator"]
+    assert not twin.is_connected
+
+
+def test_an_arm_that_fails_while_it_connects_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    backend: Any = Resource("arm missing")
+    monkeypatch.setattr(server, "Connection", lambda _: SimpleNamespace(recv_bytes=bytes, send_bytes=len))
+    monkeypatch.setattr(server, "decode", lambda *_: SimpleNamespace(capacities={}, options=None))
+    monkeypatch.setattr(server, "map_mailboxes", lambda *_: {})
+    monkeypatch.setattr(server.pkgutil, "resolve_name", lambda _: lambda *_: Served(backend))
+    assert server.main(0, 0, "module:factory") == 1
+    assert closed == ["arm missing"]
+
+
+def test_every_resource_is_closed_and_the_first_error_is_raised(caplog: pytest.LogCaptureFixture) -> None:
+    resources = [Resource(name) for name in ("a", "b fails", "c fails", "d")]
+    with caplog.at_level(logging.WARNING), pytest.raises(OSError, match="b fails"):
+        close_all([resource.disconnect for resource in resources])
+    assert closed == ["a", "b fails", "c fails", "d"]
+    assert "c fails" in caplog.text
