@@ -59,10 +59,26 @@ def collected_episode() -> Way:
     return way
 
 
+def reported_episode() -> Way:
+    """An episode's record to the log, and to a row of `adamanip report`."""
+    from records import record
+
+    from lerobot_adamanip.evaluation.record import append_record, read_log
+    from lerobot_adamanip.evaluation.report import compare
+
+    episode = record()
+    with tempfile.TemporaryDirectory() as folder, traced() as way:
+        append_record(Path(folder) / "log.jsonl", episode)
+        table = compare({"log": read_log(Path(folder) / "log.jsonl")}).table()
+    assert "100" in table
+    return way
+
+
 WAYS: list[Any] = [
     # One use of the code, the most files, the most functions.
     pytest.param(step_in_mid_episode, 12, 76, marks=SIMULATED),
     pytest.param(collected_episode, 76, 566, marks=SIMULATED),
+    pytest.param(reported_episode, 12, 80),
 ]
 
 
