@@ -117,8 +117,8 @@ def roll_out(session: Session, options: argparse.Namespace) -> dict[str, Any]:
     session.run("lerobot-eval", f"--policy.path={options.policy}", *env, *episodes, *out)
     expected = sum(bool(parse(line)["success"]) for line in evaluated.read_text(encoding="utf-8").splitlines())
     low, high = wilson_interval(expected, options.seeds)
-    told = {"rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high]}
-    return {**told, "agrees": low <= won / options.seeds <= high}
+    rates = {"rolled_out": won, "evaluated": expected, "seeds": options.seeds, "interval": [low, high]}
+    return {**rates, "agrees": low <= won / options.seeds <= high}
 
 
 def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str, Any]]) -> dict[str, Any]:
@@ -144,12 +144,12 @@ def learn(session: Session, options: argparse.Namespace, episodes: list[dict[str
 def same_description(simulated: Path, converted: Path) -> bool:
     """Returns whether both ``meta/info.json`` are equal except counts and camera intrinsics."""
 
-    def told(root: Path) -> dict[str, Any]:
+    def content(root: Path) -> dict[str, Any]:
         info = read(root / "meta" / "info.json")
         info["features"][schema.FRONT_IMAGE]["info"].pop("intrinsics", None)
         return {key: value for key, value in info.items() if not key.startswith("total_") and key != "splits"}
 
-    return told(simulated) == told(converted)
+    return content(simulated) == content(converted)
 
 
 def rows_of(root: Path, *columns: str) -> dict[str, Any]:
@@ -248,8 +248,8 @@ def main(arguments: list[str] | None = None) -> int:
     if options.policy is not None:
         result["roll_outs"] = roll_out(session, options)
         passed = passed and result["roll_outs"]["agrees"]
-    told = {**header(), **result, "commands": session.commands, "passed": passed}
-    files.write_atomically(options.out / "result.json", json.dumps(told, indent=2).encode())
+    written = {**header(), **result, "commands": session.commands, "passed": passed}
+    files.write_atomically(options.out / "result.json", json.dumps(written, indent=2).encode())
     return 0 if passed else 1
 
 

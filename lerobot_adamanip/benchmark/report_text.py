@@ -95,9 +95,9 @@ def _extent(report: BenchmarkReport) -> str:
     if marks := [f"{mark}: {meaning}" for mark, meaning in MARKS.items() if mark in shown]:
         lines.append(f"{'; '.join(marks)}.")
     if len({(result.simulation_version, result.scenes) for result in report.results}) > 1:
-        lines.append("Mind: several simulation versions or splits of scenes; do not compare numbers of different ones.")
+        lines.append("Note: several simulation versions or splits of scenes; do not compare numbers of different ones.")
     if mixed := mixed_versions(result.all_versions for result in report.results):
-        lines.append(f"Mind: measured with different versions installed: {mixed}.")
+        lines.append(f"Note: measured with different versions installed: {mixed}.")
     if report.missing:
         without = [title for name, title in report.titles.items() if name not in report.methods]
         methods = f" No result of: {'; '.join(without)}." if without else ""

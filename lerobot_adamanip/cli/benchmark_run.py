@@ -108,7 +108,7 @@ def _print(options: BenchmarkCommand, scale: str, states: Sequence[CellState], w
     width = max(len(each.cell.name) for each in states)
     for each in states:
         if options.list_cells or each.state == FAILED:
-            print(f"{each.cell.name:<{width}}  {each.state:<11}  {_told(each)}".rstrip())
+            print(f"{each.cell.name:<{width}}  {each.state:<11}  {_status_text(each)}".rstrip())
     counts = Counter(each.state for each in states)
     print(f"{counted(len(states), 'cell')}: {', '.join(f'{count} {state}' for state, count in counts.items())}")
     for what, path in written.items():
@@ -164,7 +164,7 @@ def _state_json(state: CellState) -> dict[str, Any]:
     }
 
 
-def _told(state: CellState) -> str:
+def _status_text(state: CellState) -> str:
     """Returns a cell's success rate, if it has a result, and the reason of its state."""
     success = rate(0, 0) if state.result is None else state.result.rows[0].metrics.success
     return "; ".join(filter(None, (interval_text(success) if success.episodes else "", state.reason)))

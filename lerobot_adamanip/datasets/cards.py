@@ -253,7 +253,7 @@ def _counts(episodes: Sequence[EpisodeDescription]) -> dict[str, object]:
         "recovered": sum(count for failed, count in opened.items() if failed),
         "trial_table": "\n".join(f"| {failed} | {tries[failed]} | {opened[failed]} |" for failed in sorted(tries)),
         "versions": ", ".join(f"{name} {version}" for name, version in sorted(joined_versions(versions).items())),
-        "mixed": f" Mind: its episodes were recorded with different versions: {mixed}." if mixed else "",
+        "mixed": f" Note: its episodes were recorded with different versions: {mixed}." if mixed else "",
     }
 
 

@@ -52,7 +52,7 @@ def write_statistics(root: Path, features: Mapping[str, Mapping[str, Any]]) -> N
     from lerobot.datasets.io_utils import load_stats
 
     stored: Statistics = load_stats(root) or {}
-    pictures = {key: told for key, told in stored.items() if features[key]["dtype"] in PICTURES}
+    pictures = {key: recorded_stats for key, recorded_stats in stored.items() if features[key]["dtype"] in PICTURES}
     rows = row_statistics(sorted((root / "data").glob("*/*.parquet")), features)
     content = json.dumps(plain_statistics({**rows, **pictures}), indent=4) + "\n"
     files.write_atomically(root / "meta" / "stats.json", content.encode())

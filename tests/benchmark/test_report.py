@@ -230,9 +230,9 @@ def test_other_versions_and_other_options_are_marked(cells: Path) -> None:
     *both, page = marks(simulation_version=1)
     assert both == ["†", "†"]
     assert "of an earlier simulation or data version" in page
-    assert "Mind: several simulation versions" in page
+    assert "Note: several simulation versions" in page
     newer = {"python": "3.12.0", "torch": "2.10.0"}
-    assert "Mind: measured with different versions installed: torch 2.10.0 and 2.11.0." in marks(versions=newer)[2]
+    assert "Note: measured with different versions installed: torch 2.10.0 and 2.11.0." in marks(versions=newer)[2]
     assert marks(stale=True)[:2] == ("†", "†")
     assert marks(run={"options": "e" * 16})[:2] == ("‡", "‡")
 

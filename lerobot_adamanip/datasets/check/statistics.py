@@ -63,12 +63,12 @@ def check_episode_statistics(
             continue
         wrong = []
         for key, values in columns.items():
-            told = {name: each[row_of[number]] for name, each in stored.get(key, {}).items()}
+            recorded_stats = {name: each[row_of[number]] for name, each in stored.get(key, {}).items()}
             if key in OF_PLACE:
                 continue
-            if not set(told) >= NEEDED:
+            if not set(recorded_stats) >= NEEDED:
                 wrong += [f"none of {key}"] if key in ours and key != POINT_CLOUD else []
-            elif not _are_of(told, values[rows]):
+            elif not _are_of(recorded_stats, values[rows]):
                 wrong.append(key)
         if wrong:
             report.add("episode-statistics", f"they differ from its rows: {listed(wrong)}", where.file, number)
@@ -107,11 +107,20 @@ def dataset_statistics(dataset: Dataset, stored: Stored) -> Statistics:
     from lerobot.datasets.compute_stats import aggregate_stats
 
     pictures = {
-        key: told for key, told in stored.items() if key in dataset.keys_of("video", "image") and set(told) >= NEEDED
+        key: recorded_stats
+        for key, recorded_stats in stored.items()
+        if key in dataset.keys_of("video", "image") and set(recorded_stats) >= NEEDED
     }
-    shapes = {name: (-1,) if name == "count" else (-1, 1, 1) for told in pictures.values() for name in told}
+    shapes = {
+        name: (-1,) if name == "count" else (-1, 1, 1)
+        for recorded_stats in pictures.values()
+        for name in recorded_stats
+    }
     episodes = [
-        {key: {name: each[row].reshape(shapes[name]) for name, each in told.items()} for key, told in pictures.items()}
+        {
+            key: {name: each[row].reshape(shapes[name]) for name, each in recorded_stats.items()}
+            for key, recorded_stats in pictures.items()
+        }
         for row in range(len(dataset.table) if pictures else 0)
     ]
     rows = row_statistics(

@@ -46,8 +46,8 @@ def check_videos(dataset: Dataset, stored: Stored, report: Report, progress: Cal
             if end > len(frames):
                 there = max(0, len(frames) - start)
                 kind = "unreadable" if broken else "video-length"
-                told = broken or f"{there} frames of {key} for {episode.length} rows"
-                report.add(kind, told, file, episode.number, there)
+                message = broken or f"{there} frames of {key} for {episode.length} rows"
+                report.add(kind, message, file, episode.number, there)
                 if broken:
                     break
         else:
@@ -82,8 +82,8 @@ def _check_frames(
     shown = np.mean([colour for _, colour, _ in frames], axis=0)
     recorded = means[dataset.row_of[episode.number]]
     if np.abs(shown - recorded).max() > CONTENT:
-        told = f"{key}: mean colour {shown.round(2).tolist()}, recorded {recorded.round(2).tolist()}"
-        yield "video-content", told, None
+        message = f"{key}: mean colour {shown.round(2).tolist()}, recorded {recorded.round(2).tolist()}"
+        yield "video-content", message, None
 
 
 def _decode(path: Path, progress: Callable[[], None]) -> tuple[list[Frame], str]:
