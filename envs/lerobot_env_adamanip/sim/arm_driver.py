@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.rotations import (
 )
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, joint_path, pose_error
+from lerobot_env_adamanip.sim.kinematics import NUM_ARM_JOINTS, IKResult, joint_path, pose_error
 from lerobot_env_adamanip.sim.simulation import Simulation
 
 Array = NDArray[np.float64]
@@ -159,11 +159,9 @@ class ArmDriver:
         shares = np.array([t * t * t * (10 - 15 * t + 6 * t * t) for t in times])
         for number, waypoint in enumerate(straight_path(start, goal, shares), 1):
             tolerance = LAST_TOLERANCE if number == ticks else PATH_TOLERANCE
-            solution = self._kinematics.solve(waypoint, self._target, iterations=15, tolerance=tolerance)
-            if not solution.within(5e-3, 0.03):
-                solution = self._kinematics.solve(waypoint, self._target, iterations=80)
-                if not solution.within(0.01, 0.06):
-                    return Outcome.UNREACHABLE
+            solution = self._solve(waypoint, tolerance)
+            if not solution.within(0.01, 0.06):
+                return Outcome.UNREACHABLE
             stalls = self._advance(solution.qpos)
             yield
             if stalls:
@@ -213,6 +211,13 @@ class ArmDriver:
             self._target = self._simulation.arm_state().qpos.copy()
             self._tick(self._target, np.zeros(NUM_ARM_JOINTS))
             yield
+
+    def _solve(self, waypoint: Array, tolerance: float) -> IKResult:
+        """Returns a posture near the present target for a pose (4, 4); searches longer if a short search fails."""
+        solution = self._kinematics.solve(waypoint, self._target, iterations=15, tolerance=tolerance)
+        if solution.within(5e-3, 0.03):
+            return solution
+        return self._kinematics.solve(waypoint, self._target, iterations=80)
 
     # Control ticks --------------------------------------------------------------------------------------------------
 
@@ -321,9 +326,7 @@ class ArmDriver:
 
     def _posture(self, waypoint: Array, commanded: Array) -> Array:
         """Returns joint positions (7,) [rad] of a commanded pose, or the current ones without a nearby solution."""
-        solution = self._kinematics.solve(waypoint, self._target, iterations=15, tolerance=PATH_TOLERANCE)
-        if not solution.within(5e-3, 0.03):
-            solution = self._kinematics.solve(waypoint, self._target, iterations=80)
+        solution = self._solve(waypoint, PATH_TOLERANCE)
         follows = solution.within(0.01, 0.06)
         wanted = pose_error(commanded, waypoint)
         covered = pose_error(commanded, self._kinematics.tcp_in_base(solution.qpos))

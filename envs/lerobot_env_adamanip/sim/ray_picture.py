@@ -89,9 +89,8 @@ def _cast(camera: PinholeCamera, rays: Floats, placed: Sequence[_Placed], ground
         body=np.zeros(count, np.bool_),
     )
     pixels, into_camera = np.arange(count).reshape(camera.size, camera.size), camera.world_to_camera
-    boxes = [
-        row.body.mesh.corners @ (into_camera @ row.pose)[:3, :3].T + (into_camera @ row.pose)[:3, 3] for row in placed
-    ]
+    in_camera = [into_camera @ row.pose for row in placed]
+    boxes = [row.body.mesh.corners @ pose[:3, :3].T + pose[:3, 3] for row, pose in zip(placed, in_camera, strict=True)]
     # Nearest body first, because it bounds the rays at bodies behind it.
     for row, box in sorted(zip(placed, boxes, strict=True), key=lambda pair: -pair[1][:, 2].max()):
         if -box[:, 2].min() > NEAREST:
