@@ -109,12 +109,12 @@ class TryTracker:
 
     def at_rest(self) -> frozenset[str]:
         """Returns the joints that no try moves and that stand by themselves: at zero, or without contact."""
-
-        def rests(state: _JointState) -> bool:
-            is_at_zero = abs(state.position) < MIN_JOINT_MOTION[state.kind]
-            return state.current is None and (is_at_zero or state.still > REST_TICKS)
-
-        return frozenset(name for name, state in self._states.items() if rests(state))
+        return frozenset(
+            name
+            for name, state in self._states.items()
+            if state.current is None
+            and (abs(state.position) < MIN_JOINT_MOTION[state.kind] or state.still > REST_TICKS)
+        )
 
     def update(self, pushes: Mapping[str, Push], positions: Mapping[str, float]) -> None:
         """Advances by one control tick.
