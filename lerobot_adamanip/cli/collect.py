@@ -238,6 +238,6 @@ def factories() -> Factories:
     """Returns the factories of simulators and scripted experts."""
     from lerobot_adamanip.collection.record import Factories
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.make_env import make_keyframe_env
+    from lerobot_env_adamanip.make_environment import make_environment
 
-    return Factories(make_keyframe_env, make_expert)
+    return Factories(make_environment, make_expert)

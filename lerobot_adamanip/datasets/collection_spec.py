@@ -167,7 +167,8 @@ def manifest_path(root: Path) -> Path:
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
-    return to_stored({name: plain[name] for name in MANIFEST_FIELDS})
+    names = (*MANIFEST_FIELDS, *DENSE_FIELDS) if environment.is_dense else MANIFEST_FIELDS
+    return to_stored({name: plain[name] for name in names})
 
 
 MANIFEST_FIELDS = (
@@ -175,6 +176,10 @@ MANIFEST_FIELDS = (
     "max_failed_tries", "hidden_overrides", "workspace",
 )  # fmt: skip
 """Environment options in a manifest."""
+DENSE_FIELDS = (
+    "control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", "cameras", "image_source",
+)  # fmt: skip
+"""More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
     "logged_seeds",

@@ -178,14 +178,18 @@ OPENING_TICKS = 15
 
 
 class KeyFrameLabeler:
-    """Labels key frames by the tries of a `TryTracker`, one key frame after the other.
+    """Labels key frames, or dense steps, by the tries of a `TryTracker`, one after the other.
+
+    Args:
+        tracker: of the episode.
+        is_dense: whether steps are too short to hold a whole try: then a step has the label of a try that goes on.
 
     Attributes:
-        labels: of the latest key frame.
+        labels: of the latest step.
     """
 
-    def __init__(self, tracker: TryTracker) -> None:
-        self._tracker = tracker
+    def __init__(self, tracker: TryTracker, *, is_dense: bool = False) -> None:
+        self._tracker, self._is_dense = tracker, is_dense
         self._positions = dict(tracker.positions)
         self._ticks: list[int] = []
         self._failed = 0
@@ -204,7 +208,7 @@ class KeyFrameLabeler:
         pairs = itertools.zip_longest(ticks, self._ticks, fillvalue=0)
         length, number = max(((now - before, number) for number, (now, before) in enumerate(pairs)), default=(0, 0))
         self.labels = KeyFrameLabels(trial=self._failed)
-        goes_on = number < len(self._ticks)
+        goes_on = number < len(self._ticks) and not self._is_dense
         if length > (OPENING_TICKS if goes_on and opens else REST_TICKS if goes_on else 0):
             made = tracker.tries[number]
             name = list(tracker.kinds)[made.joint]
