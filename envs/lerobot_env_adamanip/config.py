@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.contract.cameras import CAMERAS, image_column
+from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import (
@@ -28,6 +28,7 @@ from lerobot_adamanip.contract.schema import (
 from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
+from lerobot_env_adamanip.gym_interface import camera_names
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:
@@ -60,10 +61,16 @@ class AdaManipEnvConfig(EnvConfig):
     assets: str | None = None
     # Points in observation.point_cloud, in farthest-point order: a policy with fewer points uses the first ones.
     num_points: int = DEFAULT_NUM_POINTS
-    # Side length of the front image [px].
+    # Side length of an image [px].
     image_size: int = IMAGE_SIZE
-    # Whether to observe the front image: true, false, or unset (if this machine renders). Faster if false.
+    # Whether to observe images: true, false, or unset (if their source works on this machine). Faster if false.
     observe_images: bool | None = None
+    # Cameras of the images: '[front,wrist]'; unset for all in dense control and front alone in key frames.
+    cameras: list[str] | None = None
+    # Names of these cameras in observations, in the same order, as a checkpoint has them: '[camera1,camera2]'.
+    camera_names: list[str] | None = None
+    # Source of images: raycast (any machine) or render (needs Vulkan); unset for raycast in dense control.
+    image_source: str | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
     # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
@@ -108,7 +115,8 @@ class AdaManipEnvConfig(EnvConfig):
                     what, got=f"max_parallel_tasks={self.max_parallel_tasks}", allowed=1, hint=hint
                 )
             for group in self._groups().values():
-                self._options(**group)
+                options = self._options(**group)
+            names = camera_names(options.observed_cameras, self.camera_names)
         self.task = self.task or self.category
         size = self.image_size
         table: dict[str, tuple[FeatureType, tuple[int, ...], str]] = {
@@ -118,7 +126,7 @@ class AdaManipEnvConfig(EnvConfig):
             "point_cloud": (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD),
         }
         if self.observe_images is not False:
-            for name in CAMERAS:
+            for name in names.values():
                 table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
@@ -149,7 +157,7 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{type: {0: vector environment}}``; removes images from the features that nothing renders.
+        """Returns ``{type: {0: vector environment}}``; removes images from the features if nothing draws them.
 
         Raises:
             ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.
@@ -162,14 +170,15 @@ class AdaManipEnvConfig(EnvConfig):
 
         if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
             logging.getLogger(__name__).warning(line)
-        observed = observes_images(self.observe_images)
-        for name in () if observed else CAMERAS:
-            self.features.pop(f"pixels/{name}", None)
+        observed = observes_images(self.observe_images, self.options.images_from)
+        if not observed:
+            self.features = {key: one for key, one in self.features.items() if one.type is not FeatureType.VISUAL}
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
         require_fitting_policy(self, [one.category for one in options.values()])
-        return {name: {0: make_vector_env(one, n_envs, use_async_envs)} for name, one in options.items()}
+        names = camera_names(next(iter(options.values())).observed_cameras, self.camera_names)
+        return {name: {0: make_vector_env(one, n_envs, use_async_envs, names)} for name, one in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:
         """Returns name -> options of each vector environment."""

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
+from lerobot_adamanip.contract.cameras import FRONT, image_column
 
 POINT_CLOUD = "observation.point_cloud"
 STATE = "observation.state"
@@ -81,7 +81,7 @@ FIXED_STATISTICS = {
 
 
 def dataset_features(
-    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = CAMERAS
+    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = (FRONT,)
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 
