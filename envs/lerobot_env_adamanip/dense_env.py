@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.control import DENSE, EE_DELTA, EE_POSE
 from lerobot_adamanip.contract.dense_codec import delta_action, pose_of_delta
+from lerobot_adamanip.contract.keyframes import MotionLimits
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
@@ -73,6 +74,11 @@ class DenseEnv(KeyframeEnv):
         if self.options.action == EE_POSE:
             return pose_vector(target, gripper)
         return np.append(driver.posture(target), gripper).astype(np.float32)
+
+    @property
+    def motion_limits(self) -> MotionLimits:
+        """Limits of the arm's motion in this category."""
+        return self.episode.task.definition.motion
 
     @property
     def is_blocked(self) -> bool:

@@ -125,7 +125,8 @@ class RunningEpisode:
         self.steps += 1
         self.clipped_goals += driver.feedback.is_clipped
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
-        failed, allowed = simulation.tries.failed_tries, self._max_failed_tries
+        tries, allowed = simulation.tries, self._max_failed_tries
+        failed = tries.ended_failed_tries if self._options.is_dense else tries.failed_tries
         limit = TIME_LIMIT if self.steps >= self._step_limit else ""
         limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES
@@ -284,17 +285,23 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         had_succeeded = self.episode.success
-        success, truncated = self.drive(action)
+        for _ in self.motion(action):
+            pass
+        success, truncated = self.episode.result()
         return self.observe(), float(success and not had_succeeded), success, truncated, self._info()
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
-        for _ in self.motion(action):
+        """Runs one key frame, in dense control too, without an observation.
+
+        Returns:
+            Whether the task is done, and whether a limit is reached.
+        """
+        for _ in KeyframeEnv.motion(self, action):
             pass
         return self.episode.result()
 
     def motion(self, action: NDArray[np.float32]) -> Generator[None]:
-        """Runs `drive`; yields after each control tick. Closing it aborts the key frame, which then does not count."""
+        """Runs one step; yields after each control tick. Closing it aborts the step, which then does not count."""
         episode = self.episode
         yield from episode.task.driver.motion(np.asarray(action))
         self._image = None

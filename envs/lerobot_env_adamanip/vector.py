@@ -24,6 +24,7 @@ from gymnasium.vector.utils import batch_space
 from lerobot_adamanip.episode.options import MALFORMED_ACTION, EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import thread_limits
+from lerobot_env_adamanip.dense_env import DenseEnv
 from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -269,5 +270,7 @@ def _new_rollout(options: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _make(options: EnvironmentOptions, names: Mapping[str, str]) -> gym.Env[Any, Any]:
-    env: gym.Env[Any, Any] = FlatCloud(FailMalformedActions(KeyframeEnv(options=options)))
+    env: gym.Env[Any, Any] = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
+    env = FailMalformedActions(env)
+    env = FlatCloud(env) if options.observes_cloud else env
     return CameraNames(env, names) if options.observe_images else env

@@ -107,6 +107,12 @@ class TryTracker:
         """Number of failed tries so far."""
         return sum(each.failed for each in self.tries)
 
+    @property
+    def ended_failed_tries(self) -> int:
+        """Number of failed tries that have ended: one that goes on may still move its joint."""
+        present = [state.current for state in self._states.values()]
+        return sum(each.failed and each not in present for each in self.tries)
+
     def at_rest(self) -> frozenset[str]:
         """Returns the joints that no try moves and that stand by themselves: at zero, or without contact."""
         return frozenset(
@@ -213,7 +219,7 @@ class KeyFrameLabeler:
             made = tracker.tries[number]
             name = list(tracker.kinds)[made.joint]
             progress = made.direction * (positions[name] - self._positions[name])
-            self.labels = KeyFrameLabels(made.joint, made.failed, progress, self._failed, made.direction)
+            self.labels = KeyFrameLabels(made.joint, made.failed, progress, self._failed, made.direction, number)
         self._positions, self._failed = dict(positions), tracker.failed_tries
         self._ticks = ticks
         return self.labels

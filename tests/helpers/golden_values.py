@@ -211,7 +211,7 @@ def _rows() -> Values:
     with tempfile.TemporaryDirectory() as folder:
         root, shard = Path(folder) / "dataset", Path(folder) / "0.safetensors"
         write_shard(shard, episode)
-        dataset = create_dataset(root, "local/golden", num_points=_POINTS, image_size=None, intrinsics=None)
+        dataset = create_dataset(root, "local/golden", features=schema.dataset_features(_POINTS, cameras=()))
         append_shards(dataset, [shard], lambda done, total: None)
         rows = pq.read_table(root / "data/chunk-000/file-000.parquet").to_pydict()
         stats = json.loads((root / "meta/stats.json").read_text())

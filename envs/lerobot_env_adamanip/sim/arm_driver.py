@@ -291,12 +291,12 @@ class ArmDriver:
 
     def stream_tick(self) -> None:
         """Advances one control tick towards the target. Without a target the arm stays."""
-        before = self._kinematics.tcp_in_base(self._target)
-        lag = pose_error(self._kinematics.tcp_in_base(self._simulation.arm_state().qpos), before)
         if self._joint_goal is not None and not self._holding:
-            self.stalled = self._advance(self._next_joints(self._joint_goal, lag))
+            self.stalled = self._advance(self._next_joints(self._joint_goal))
         else:
+            before = self._kinematics.tcp_in_base(self._target)
             goal = before if self._stream is None or self._holding else self._stream
+            lag = pose_error(self._kinematics.tcp_in_base(self._simulation.arm_state().qpos), before)
             waypoint, velocity = self._next_waypoint(before, goal)
             if self.stalled and self._is_farther(waypoint, lag):
                 waypoint, velocity = before, np.zeros(6)
@@ -305,19 +305,23 @@ class ArmDriver:
         self.effort = self._stiffness * (self._target - self._simulation.arm_state().qpos)
         self.feedback = replace(self.measured(), is_clipped=self._is_clipped)
 
-    def _next_joints(self, goal: Array, lag: Array) -> Array:
-        """Returns the next joint targets (7,) on the way to ``goal`` (7,), within the limits of a stream."""
+    def _next_joints(self, goal: Array) -> Array:
+        """Returns the next joint targets (7,) on the way to ``goal`` (7,), within the limits of a stream.
+
+        After a stall no joint's lag grows.
+        """
         left = goal - self._target
         largest = float(np.abs(left).max())
         speed = min(STREAM_JOINT_SPEED, _braking_speed(largest, BRAKING * STREAM_JOINT_ACCELERATION))
         aim = left * (speed / largest) if largest > 0 else np.zeros(NUM_ARM_JOINTS)
         bound = STREAM_JOINT_ACCELERATION * self._dt
-        self._joint_velocity = self._joint_velocity + np.clip(aim - self._joint_velocity, -bound, bound)
-        target = self._target + self._joint_velocity * self._dt
-        if self.stalled and self._is_farther(self._kinematics.tcp_in_base(target), lag):
-            self._joint_velocity = np.zeros(NUM_ARM_JOINTS)
-            return self._target
-        return target
+        velocity = self._joint_velocity + np.clip(aim - self._joint_velocity, -bound, bound)
+        if self.stalled:
+            actual = self._simulation.arm_state().qpos
+            grows = np.abs(self._target + velocity * self._dt - actual) > np.abs(self._target - actual)
+            velocity = np.where(grows, 0.0, velocity)
+        self._joint_velocity = velocity
+        return self._target + velocity * self._dt
 
     def posture(self, pose: Array) -> Array:
         """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present target."""
@@ -379,7 +383,10 @@ class ArmDriver:
         follows = solution.within(0.01, 0.06)
         wanted = pose_error(commanded, waypoint)
         covered = pose_error(commanded, self._kinematics.tcp_in_base(solution.qpos))
-        self._stuck = self._stuck + 1 if not follows or covered @ wanted < FOLLOWS * (wanted @ wanted) else 0
+        moves = wanted @ wanted > PATH_TOLERANCE**2  # less than that is not solved for
+        self._stuck = (
+            self._stuck + 1 if not follows or (moves and covered @ wanted < FOLLOWS * (wanted @ wanted)) else 0
+        )
         self.unreachable = self._stuck >= self._limits.stall_ticks
         if not follows:
             self._velocity = np.zeros(6)

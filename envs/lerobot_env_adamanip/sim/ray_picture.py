@@ -111,9 +111,7 @@ class RayPictures:
                     self._hit(hits, index, slots, poses[index], (eye, rays))
         return hits
 
-    def _hit(
-        self, hits: _Hits, index: int, slots: Slots, pose: Pose, view: tuple[NDArray[np.float64], Floats]
-    ) -> None:
+    def _hit(self, hits: _Hits, index: int, slots: Slots, pose: Pose, view: tuple[NDArray[np.float64], Floats]) -> None:
         """Updates ``hits`` with those of the rays ``slots`` (M,) at one body; ``view`` is the eye and all rays."""
         eye, rays = view
         rotation = pose[:3, :3]
