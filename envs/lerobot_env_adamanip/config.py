@@ -169,10 +169,11 @@ class AdaManipEnvConfig(EnvConfig):
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
         workspace = Workspace(self.workspace_lower, self.workspace_upper)
         values |= {"category": category, "workspace": workspace, "fps": self.fps or 10}
+        length = self.episode_length
         if self.control == DENSE:
-            values["max_steps"] = self.episode_length
+            values["max_steps"] = length
         else:
-            values |= {"max_key_frames": self.episode_length or MAX_KEY_FRAMES, "fps": 10}
+            values |= {"max_key_frames": MAX_KEY_FRAMES if length is None else length, "fps": 10}
         return EnvironmentOptions(**{**values, **others})
 
     @property

@@ -11,7 +11,7 @@ import pytest
 import sapien
 from envs_helpers import at_once_or_at_night
 
-from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects import Material, Shape
@@ -78,6 +78,6 @@ def test_rays_and_renderer_draw_the_same(envs: Callable[[str], KeyframeEnv], cat
     cameras: Any = env.episode.task.cameras
     for camera in CAMERAS:
         difference = cameras.raycast_image(camera).astype(int) - cameras.rendered_image(camera)
-        assert np.median(np.abs(difference)) <= 2
+        assert np.median(np.abs(difference)) <= (2 if camera == FRONT else 8)  # a near surface may have one highlight
         # The renderer has no shadows, which only darken. What remains are edges.
         assert (difference.max(-1) > 30).mean() < 0.02

@@ -70,6 +70,11 @@ class Cameras:
         """Returns a camera's configuration in the frame of its link, by default for images."""
         return camera_config(name, self.poses[name], size or self.options.image_size, self.shader)
 
+    def view(self, name: str = FRONT) -> PinholeCamera:
+        """Returns a camera at its present pose, for images."""
+        pose = self.poses[name] if (mount := self.mount(name)) is None else mount.pose * self.poses[name]
+        return pinhole_at(pose, self.options.image_size, CAMERAS[name].field_of_view)
+
     def mount(self, name: str) -> Any:
         """Returns the SAPIEN entity of the link that carries a camera; None if the camera rests."""
         link = CAMERAS[name].link
@@ -108,8 +113,7 @@ class Cameras:
 
     def raycast_image(self, name: str = FRONT) -> NDArray[np.uint8]:
         """Returns a camera's present image (H, W, 3) without a renderer, see `sim.ray_picture`."""
-        pose = self.poses[name] if (mount := self.mount(name)) is None else mount.pose * self.poses[name]
-        return self._ray_pictures.take(pinhole_at(pose, self.options.image_size, CAMERAS[name].field_of_view))
+        return self._ray_pictures.take(self.view(name))
 
     @functools.cached_property
     def _ray_pictures(self) -> RayPictures:
