@@ -44,9 +44,7 @@ def test_a_second_camera_is_recorded_for_one_option(tmp_path: Path) -> None:
     env = make_env(make_spec(cameras=(FRONT, WRIST)).environment_of("safe"))
     observation, _ = env.reset(seed=1, options={"object_id": "safe_000"})
     assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column(WRIST)}
-    spec = make_spec(cameras=(FRONT, WRIST), observe_images=False)
-    collect(tmp_path / "unpictured", spec, fakes(), CollectOptions(workers=1))
-    add_pictures(tmp_path / "unpictured", out := tmp_path / "dataset", make_env)
+    collect(out := tmp_path / "dataset", make_spec(cameras=(FRONT, WRIST)), fakes(), CollectOptions(workers=1))
     assert schema.dataset_features(8, 64).keys() < Dataset(out).features.keys()
     row = open_dataset(out, video_backend="pyav", return_uint8=True)[0]
     assert abs(row[image_column(WRIST)].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
