@@ -324,8 +324,8 @@ class ArmDriver:
         return self._target + velocity * self._dt
 
     def posture(self, pose: Array) -> Array:
-        """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present target."""
-        return self._solve(pose, LAST_TOLERANCE).qpos
+        """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present ones."""
+        return self._kinematics.solve(pose, self._simulation.arm_state().qpos, iterations=80).qpos
 
     @property
     def is_at_rest(self) -> bool:
