@@ -1,10 +1,10 @@
-"""Checks that no joint moves, is released or tells its state without a labelled try, whatever the hand does.
+"""Checks that no joint moves, is released or reveals its state without a labelled try, for any motion of the hand.
 
 Random hands (open, half open or closed; at a part, near it or far away) move at random, under two hidden states (three
 for a lamp). A joint without a try must be held and must not have moved. All numbers of arm and object must be
 bit-identical under every hidden state until a joint is tried. Returns 1 if a category fails. For example:
 
-    python scripts/check_tries.py --category all --seeds 400 --workers 2      # 2,000 hands a category
+    python scripts/check_tries.py --category all --seeds 400 --workers 2      # 2,000 hands per category
 """
 
 from __future__ import annotations

@@ -85,8 +85,8 @@ class RunningEpisode:
         seed, given_seed: seed of the scene, and of the evaluation.
 
     Attributes:
-        success: whether a joint has been beyond its goal at the end of a key frame.
-        end: the record, from the end of the episode on; later key frames do not change it.
+        success: whether a joint was beyond its goal at the end of any key frame.
+        end: the record, set at the end of the episode; later key frames do not change it.
         limit: the limit that has ended the episode, `TIME_LIMIT` or `TOO_MANY_TRIES`; otherwise empty.
     """
 
@@ -296,7 +296,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         episode.after_key_frame()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
+        """Ends the episode without success, for the caller's reason, and observes, as `step` does at a limit.
 
         An episode that has ended keeps its result.
         """

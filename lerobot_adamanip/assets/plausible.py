@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 SMALLEST, LARGEST = 0.02, 3.0
 """Range of the longest side of an object [m], for all categories."""
 OFF = 6.0
-"""Factor to the usual size above which the unit must be wrong (inches, centimetres, millimetres)."""
+"""Ratio to the usual size above which the unit of length must be wrong (inches, centimetres, millimetres)."""
 HELD = 0.04
 """Maximum distance of a held mesh from the tool centre point: the finger opening to one side [m]."""
 

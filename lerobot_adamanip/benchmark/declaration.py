@@ -172,7 +172,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """A change: two methods, with it and without it, compared in the same scenes of some categories (none: all)."""
+    """Effect of a change: methods with and without it, compared in the same scenes of ``categories`` (none: all)."""
 
     title: Annotated[str, TITLE]
     method: Annotated[str, NAME]

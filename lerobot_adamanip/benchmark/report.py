@@ -102,7 +102,7 @@ class BenchmarkReport:
         return [category for category in self.categories if any(place[1] == category for place in self.entries)]
 
     def of(self, method: str, objects: str) -> list[Entry]:
-        """Returns the available entries of a method, one a category."""
+        """Returns the available entries of a method, one per category."""
         places = [(method, category, objects) for category in self.categories]
         return [self.entries[place] for place in places if place in self.entries]
 
@@ -160,13 +160,13 @@ class BenchmarkReport:
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
     def runs_of(self, method: str) -> list[CellRun]:
-        """Returns how the results of a method were made."""
+        """Returns the `CellRun` of each result of a method."""
         return [result.run for result in self.results if result.run is not None and result.run.method == method]
 
     def mean_losses(self, method: str) -> list[float]:
-        """Returns the loss in equal parts of a method's last training, as a share of its first value.
+        """Returns the loss curve of a method's last training, relative to its first value.
 
-        The geometric mean over the trainings of its cells; empty without a log.
+        It has one value per equal part of the training: the geometric mean over its cells. Empty without a log.
         """
         logs = [log for log in last_trainings(self.runs_of(method)) if min(log.losses) > 0]
         parts = zip(*([loss / log.losses[0] for loss in log.losses] for log in logs), strict=True)
@@ -190,7 +190,7 @@ def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
 
 
 def scenes_of(result: ResultFile) -> tuple[object, ...]:
-    """Returns all that decides the scenes of a result."""
+    """Returns the version, seeds and options that decide the scenes of a result."""
     options = evaluation_options(result.command).items()
     deciding = {pair for pair in options if pair[0].startswith("--env.") and pair[0] not in OBSERVATION_OPTIONS}
     return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), frozenset(deciding)

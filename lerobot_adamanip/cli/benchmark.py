@@ -63,7 +63,7 @@ class BenchmarkCommand:
     """Print one JSON object. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
+        """Lists, runs or reports. Returns 1 if a cell failed, 130 after Ctrl-C, otherwise 0."""
         from lerobot_adamanip.cli.benchmark_run import run_benchmark
 
         return run_benchmark(self)

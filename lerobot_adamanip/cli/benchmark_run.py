@@ -37,7 +37,7 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
 def run_benchmark(options: BenchmarkCommand) -> int:
-    """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
+    """Lists, runs or reports. Returns 1 if a cell failed, 130 after Ctrl-C, otherwise 0."""
     declaration = read_declaration(options.config) if options.config else with_packages(read_declaration(PAPER_TABLE))
     scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
     cells = select_cells(declaration, scale, **selection)

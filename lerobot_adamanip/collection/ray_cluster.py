@@ -77,7 +77,7 @@ def is_loopback(address: str) -> bool:
 
 
 def require_usable(address: str, *, insecure: bool) -> None:
-    """Raises `ConfigurationError` for mistakes that are found without asking the cluster. See `connected`."""
+    """Raises `ConfigurationError` for mistakes that can be detected without the cluster. See `connected`."""
     if importlib.util.find_spec("ray") is None:
         raise ConfigurationError(
             "Ray is not installed.",

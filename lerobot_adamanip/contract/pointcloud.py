@@ -14,7 +14,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 Cloud = NDArray[np.float32]
 
 MIN_POINTS, MAX_POINTS = 2, 16_384
-"""Allowed numbers of points of a cloud. One point, stored as 3 numbers, could not be told from points (N, 3)."""
+"""Allowed numbers of points of a cloud. One point, stored as 3 numbers, would look like a row of points (N, 3)."""
 KDTREE_HEIGHT = 6
 """Bucket height of the k-d line sampler. At about 2 * 10^4 points it is 10 % faster than 5, the QuickFPS paper's value.
 The samples are equal unless two points are equally far."""
@@ -25,7 +25,7 @@ DEPTH_SIZE, FEW_POINTS, DEPTH_SIZE_OF_FEW = 320, 2048, 240
 
 @dataclass(frozen=True)
 class Workspace:
-    """An axis-aligned box in the robot's base frame [m]; what lies outside is not part of the cloud."""
+    """An axis-aligned box in the robot's base frame [m]. Points outside are not part of the cloud."""
 
     lower: tuple[float, float, float] = (0.30, -0.36, 0.48)
     upper: tuple[float, float, float] = (0.80, 0.36, 1.05)

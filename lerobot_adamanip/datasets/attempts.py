@@ -102,7 +102,7 @@ def count(attempts: list[AttemptRecord], wanted: int) -> AttemptCounts:
 
 
 class HasHiddenState(Protocol):
-    """An attempt or an episode."""
+    """An attempt or an episode, both with a hidden state."""
 
     @property
     def hidden_state(self) -> Mapping[str, Any] | None:

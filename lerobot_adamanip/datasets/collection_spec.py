@@ -69,7 +69,7 @@ class CollectionSpec:
         late_starts: share of episodes that start from mid-task states, see `lerobot_adamanip.collection.late_starts`.
         keep_failed: whether to keep failed episodes, in a separate dataset.
         policy: hash of a policy that drives while the expert corrects it (`collection.corrections`); empty for
-            demonstrations of the expert. Its episodes are kept with and without success.
+            demonstrations of the expert. Episodes of a policy are kept with and without success.
         expert_share: share of key frames that the expert drives; 1 for demonstrations.
     """
 

@@ -1,15 +1,15 @@
 """`Dataset`, the reader of every dataset on disk: key frames of `adamanip collect`, or a robot's recording of ticks.
 
-    dataset = Dataset(root)                       # raises `DatasetError` for the first damage that it meets
-    dataset = Dataset(root, on_damage=report.add) # reports each damage and goes on, for `adamanip check`
+    dataset = Dataset(root)                       # raises `DatasetError` for the first damage
+    dataset = Dataset(root, on_damage=report.add) # reports each and continues, for `adamanip check`
 
 - ``dataset.info``, ``.features``, ``.fps``, ``.tasks``, ``len(dataset)``: of ``meta/info.json`` and ``tasks.parquet``.
-- ``dataset.table``: the columns of ``meta/episodes``, one row an episode, without statistics; ``own_columns`` are ours.
+- ``dataset.table``: the columns of ``meta/episodes``, one per episode, without statistics; ``own_columns`` are ours.
 - ``dataset.episodes``: `Episode`, its place and its row of that table. ``dataset.episode(3)`` checks the number.
 - ``dataset.rows(episode)``: its rows as a table; ``columns(episode)`` as arrays; ``recorded(3, manifest)`` as
   `RecordedEpisode`, checked for the simulator.
 - ``dataset.column_table(names)``: some columns of all rows. ``labels``: tries and successes counted from them.
-- ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read when they are asked for.
+- ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read on first access.
 
 An `EpisodeDescription` is ``EpisodeDescription.from_columns(episode.row)``.
 """
@@ -350,7 +350,7 @@ class Dataset:
 
     @cached_property
     def selection(self) -> Selection:
-        """Selection that this dataset is; all its own episodes if it is not a part."""
+        """Source episodes of this part of a dataset; all its own episodes if it is not a part."""
         return read_selection(self.root, len(self))
 
     def check_videos(self) -> None:

@@ -79,11 +79,11 @@ _ENCODER_OPTIONS: Mapping[str, json_fields.Check] = {
     "crf": json_fields.number(0, 63),
     "preset": json_fields.either(json_fields.integer(0, 13), json_fields.choice(_WORDS)),
 }
-"""Options of a dataset's description that an encoder gets, and their values; no other option or value is passed on."""
+"""Encoder options that are read from a dataset, and their allowed values. Others are not passed on."""
 
 
 def encoder_like(info: Mapping[str, Any]) -> Any:
-    """Returns LeRobot's configuration of an encoder for frames that join the video of a description.
+    """Returns LeRobot's encoder configuration for frames that are appended to the video of a column's description.
 
     Raises:
         DatasetError: no encoder for this codec is allowed or installed.

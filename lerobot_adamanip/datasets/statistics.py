@@ -24,7 +24,7 @@ _NOT_NUMERIC = (*PICTURES, "string", "language")
 _CLOUD_STEP = 1e-4
 """Resolution of the quantiles of clouds [m]."""
 _CLOUD_REACH = 100_000
-"""Largest coordinate of a cloud in quantiles, in steps; farther points count as being there."""
+"""Largest coordinate of a cloud in quantiles, in steps; farther points are clipped to it."""
 _BATCH_ROWS = 1024
 
 

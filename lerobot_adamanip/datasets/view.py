@@ -41,7 +41,7 @@ Array = NDArray[np.float32]
 
 
 class ShownTry(NamedTuple):
-    """A try; ``progress`` is its joint's motion in the commanded direction [rad or m]; it may recover a failed one."""
+    """A try; ``progress``: motion of its joint in the commanded direction [rad or m]; ``recovers``: after a failure."""
 
     key_frame: int
     joint: str

@@ -237,7 +237,7 @@ def read_log(path: Path) -> list[EpisodeRecord]:
 
 
 def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
-    """Returns the records with each episode once: the last one of equal episodes, in order.
+    """Returns the records without repeated episodes; of equal episodes, the last one stays.
 
     Episodes are equal if seed, object and hidden state are. A seed on seen and on unseen objects is two episodes.
     """

@@ -159,14 +159,14 @@ class TrainingLog:
 
     @property
     def change(self) -> float:
-        """Relative change of the loss from the last but one fifth of the training to the last; negative if it falls."""
+        """Relative change of the loss from the fourth fifth of the training to the last fifth; negative if it falls."""
         before, latest = self.losses[-2 * _LATEST : -_LATEST], self.losses[-_LATEST:]
         return sum(latest) / sum(before) - 1 if sum(before) else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellRun:
-    """How `adamanip benchmark` made a result.
+    """Run of `adamanip benchmark` behind a result.
 
     Attributes:
         scale, method: names in the declaration.
@@ -214,7 +214,7 @@ class ResultFile(Origin):
         scenes: split of the scenes. ``seeds``: the first and the last.
         seconds: duration; None if not measured.
         rows: measured numbers; a benchmark's cell has one row.
-        run: how a benchmark made it; None for others.
+        run: run of a benchmark; None for other results.
     """
 
     kind: Annotated[str, choice(KINDS)]

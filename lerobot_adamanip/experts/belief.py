@@ -1,4 +1,4 @@
-"""Knowledge of an expert: part poses, and the tries so far in the episode, by itself or by others.
+"""Knowledge of an expert: part poses, and all tries so far in the episode, its own and others'.
 
 A belief stores only the tries and their measured results. Hidden state has few possible values (a direction, a mode,
 locked or not). A failed try rules some of them out until something else has changed.
@@ -85,7 +85,7 @@ class Belief:
         return found - self._ways(joint, rest)
 
     def way(self, joint: str, rest: float) -> int:
-        """Returns the sign of a joint's free direction, as it has moved or the other one is blocked; 0 if unknown."""
+        """Returns the sign of a joint's free direction: it moved there, or the other one is blocked; 0 if unknown."""
         ways = self._ways(joint, rest)
         blocked = self.blocked_ways(joint, rest)
         if len(ways) == 1:

@@ -1,4 +1,4 @@
-"""Failed tries of an optimal strategy that cannot see what is hidden."""
+"""Failed tries of an optimal strategy that does not know the hidden state."""
 
 from __future__ import annotations
 

@@ -107,7 +107,7 @@ class WindowDesign:
 
 
 def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
-    """Samples a window narrower and taller, or wider and lower, than all seen ones, with new bar and handle styles."""
+    """Samples a novel window: narrower and taller, or wider and lower, than every seen one; new bars and handles."""
     base = draw(WindowDesign, rng)
     tall = rng.random() < 0.5
     height = rng.uniform(0.54, 0.62) if tall else rng.uniform(0.29, 0.34)

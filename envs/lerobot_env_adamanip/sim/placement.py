@@ -234,7 +234,7 @@ def _reachable(
 
 
 def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
-    """Returns whether the arm gets from ``start`` (7,) [rad] to a grasp (4, 4), via its pre-grasp, on straight lines.
+    """Returns whether the arm can move from ``start`` (7,) [rad] via the pre-grasp to a grasp (4, 4) on straight lines.
 
     An almost stretched arm may reach a pose, but not on a straight line.
     """
@@ -281,7 +281,7 @@ def _along(path: Path) -> Iterator[dict[str, float]]:
 
 @functools.cache
 def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObject], str]:
-    """Returns a function that returns why an object cannot be placed, or an empty text, from kinematics alone.
+    """Returns a check: object -> why it cannot be placed, or an empty text. It uses kinematics alone.
 
     It samples one episode; an object that can be placed there can be placed in almost every episode.
     """

@@ -203,7 +203,7 @@ def _check_clouds(where: Rows, columns: Columns, workspace: Workspace, report: R
 
 
 def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    """Checks recorded episodes: failed tries count up, success stays, and only the last row ends the episode."""
+    """Checks recorded episodes: `trial` never falls, success is never taken back, and only the last row is final."""
     first = np.zeros(len(where), bool)
     first[where.starts()] = True
     if schema.DONE in columns:

@@ -88,7 +88,7 @@ class CloudPolicyConfig(PreTrainedConfig):
         super().__post_init__()
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for options that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
 
     @property
     def observation_delta_indices(self) -> list[int] | None:

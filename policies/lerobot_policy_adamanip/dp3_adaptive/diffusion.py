@@ -46,7 +46,7 @@ POSITION_UNIT, ROTATION_UNIT = 0.02, 0.5
 
 
 class DiffusionHead(nn.Module):
-    """Denoising of chunks of actions; how a chunk is encoded and what it is conditioned on depends on the frame.
+    """Denoises chunks of actions. Subclasses define the encoding of a chunk and the condition.
 
     Args:
         config: of the policy.
@@ -241,8 +241,8 @@ class ToolDiffusionHead(ToolHead, DiffusionHead):
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
 
-        A chunk whose first action leads to nothing is drawn again, up to `DRAWS` times. If all do, the first one
-        counts; but if all are useless with the present grip, the hand lets go.
+        A chunk whose first action cannot be used is drawn again, up to `DRAWS` draws. If all draws fail, the first one
+        counts. But if all are useless with the present grip (`rules.Limits`), the hand lets go.
         """
         inference = self.config.inference
         past = self.past(window) if self.memory is not None else None
