@@ -103,7 +103,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     """Returns object ids for a selection.
 
     Args:
-        category: of the objects.
+        category: category of the objects.
         selection: ``seen``, ``unseen``, ``novel``, ``0:4`` (a range of numbers; of novel ones, ``n0:n4``), or
             ``safe_000,safe_n007``.
 

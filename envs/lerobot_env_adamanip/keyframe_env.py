@@ -296,7 +296,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         episode.after_key_frame()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Ends the episode without success, for the caller's reason, and observes, as `step` does at a limit.
+        """Ends the episode without success. Returns the same values as `step` at a limit; ``limit`` is the reason.
 
         An episode that has ended keeps its result.
         """
@@ -323,7 +323,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             "agent_pos": state_vector(task.driver.feedback, arm.qpos, arm.qvel),
             "effort": task.driver.effort.astype(np.float32),
         }
-        for key, values in observation.items():  # a simulated collision may tell any effort
+        for key, values in observation.items():  # a simulated collision may report any effort
             observation[key] = np.clip(values, spaces[key].low, spaces[key].high)
         observation["point_cloud"] = workspace_cloud(points, self.workspace, self.num_points)
         return {**observation, "pixels": images} if images else observation

@@ -46,7 +46,7 @@ class Entry:
     """Pooled result of all trainings of a method, in one category and split of objects.
 
     Attributes:
-        metrics: of all their episodes.
+        metrics: metrics of all their episodes.
         results: the results.
         marks: `EARLIER` and `OTHER_OPTIONS`, if they apply to one of them.
     """
@@ -207,7 +207,7 @@ def make_report(
     """Builds a report from result files.
 
     Args:
-        results: of any cells, declared or not.
+        results: results of any cells, declared or not.
         declaration: the benchmark.
         scale: name of the scale.
         unavailable: see `BenchmarkReport`.

@@ -47,7 +47,8 @@ class BenchmarkCommand:
     """Write the table of the existing results and run nothing."""
 
     workers: int = 2
-    """Processes that collect demonstrations; with --cluster actors, 0 for one per CPU. Does not change a result."""
+    """Number of processes that collect demonstrations. With --cluster: number of actors, 0 for one per CPU. Does not
+    change a result."""
 
     jobs: int = 1
     """Number of parallel commands, which share the cores. Two trainings on one core each finish sooner than one after

@@ -127,8 +127,8 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     """Returns the README of a finished dataset. It contains no local path.
 
     Args:
-        folder: of the dataset.
-        name: of the output folder in the card's `adamanip collect` command.
+        folder: folder of the dataset.
+        name: name of the output folder in the card's `adamanip collect` command.
         repo_id: its name on the Hub.
         assets: folder of the external assets of the collection, if any.
 

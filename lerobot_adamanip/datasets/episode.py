@@ -78,7 +78,7 @@ class EpisodeDescription:
 
     Attributes:
         object_id: ``safe_007``.
-        seed: of the scene.
+        seed: seed of the scene.
         expert: driver of the arm: ``adaptive``, ``static``, or the name of a policy.
         tries, failed_tries: number of tries, and of the failed ones.
         success: whether the task was done.

@@ -247,7 +247,7 @@ def recording_error(folder: Path, features: Mapping[str, Any]) -> DatasetError:
     name = as_typed(folder)
     hint = f"adamanip keyframes {name} --out {name}-keyframes"
     if not any(key.endswith(DEPTH_SUFFIX) for key in features):
-        hint = "lerobot-record with a camera that tells depth: this recording has none to make clouds of"
+        hint = "lerobot-record with a depth camera: clouds need depth, which this recording lacks"
     return DatasetError(
         "This is a recording of ticks, not a dataset of key frames.",
         got=f"{name}, without {POINT_CLOUD}",

@@ -41,7 +41,7 @@ def create_dataset(
 
     Args:
         root: a folder that does not exist.
-        repo_id: for LeRobot.
+        repo_id: repository id for LeRobot.
         num_points: points per cloud.
         image_size: height and width of images [px]; None for no images.
         intrinsics: (3, 3) of the front camera at that size [px], if known.

@@ -96,7 +96,7 @@ class KeyFrame:
 
     Attributes:
         observation: before the action.
-        goal: of the expert.
+        goal: goal of the expert.
         feedback: after the action.
         following: observation after the action.
         success: whether the task is done by now.

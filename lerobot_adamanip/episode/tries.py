@@ -63,8 +63,8 @@ class _JointState:
     """Progress of one joint: its present try, and the motion since the latest one ended.
 
     Attributes:
-        kind: of the joint.
-        position: at the latest tick [rad or m].
+        kind: kind of the joint.
+        position: position at the latest tick [rad or m].
         start: where the present try, or the motion without a try, started.
         sent: motion of the arm's target since then, or since the joint was farthest, along its motion [rad or m].
         quiet: control ticks since the latest push.
@@ -120,7 +120,7 @@ class TryTracker:
         """Advances by one control tick.
 
         Args:
-            pushes: of each joint that the arm touches.
+            pushes: push on each joint that the arm touches.
             positions: joint positions at the end of the tick [rad or m].
         """
         for joint, (name, state) in enumerate(self._states.items()):
@@ -181,7 +181,7 @@ class KeyFrameLabeler:
     """Labels key frames by the tries of a `TryTracker`, one key frame after the other.
 
     Attributes:
-        labels: of the latest key frame.
+        labels: labels of the latest key frame.
     """
 
     def __init__(self, tracker: TryTracker) -> None:

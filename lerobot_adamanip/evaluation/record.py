@@ -42,7 +42,7 @@ class Provenance:
 
     Attributes:
         simulation_version: see `lerobot_adamanip.contract.versions.SIMULATION_VERSION`.
-        version: of this package.
+        version: version of this package.
         mechanism_rules: rule set of the mechanisms, see `lerobot_adamanip.mechanisms`.
         run_id: shared by all environments of an evaluation; None outside one.
         run_label: label given by the user, for instance the policy's name; None without one.

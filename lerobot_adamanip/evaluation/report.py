@@ -156,7 +156,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
 
     Args:
         records: records of its log.
-        boundaries: of continuous hidden values, see `hidden_boundaries`; by default those of these records.
+        boundaries: boundaries of continuous hidden values, see `hidden_boundaries`; by default those of these records.
     """
     kept = without_repeats(records)
     objects: dict[str, list[bool]] = {}

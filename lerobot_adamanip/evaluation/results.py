@@ -66,7 +66,7 @@ class ResultRow:
         mechanism_rules: see `MECHANISM_RULES`; also those of earlier versions.
         category: category, for instance ``safe``.
         objects: one of `OBJECT_SPLITS`.
-        metrics: of these episodes; failed and unreachable ones count too.
+        metrics: metrics of these episodes; failed and unreachable ones count too.
         scene_outcomes, scene_tries: outcome and failed tries of each scene, see `lerobot_adamanip.evaluation.paired`;
             empty if not kept.
     """
@@ -171,7 +171,7 @@ class CellRun:
     Attributes:
         scale, method: names in the declaration.
         package: distribution that declared the method; empty for the declaration itself.
-        seed: of the training.
+        seed: seed of the training.
         options: key of the declared options, from `lerobot_adamanip.benchmark.plan.options_key`.
         data_version: see `lerobot_adamanip.contract.versions`.
         steps: by name, in order: ``collect``, ``train``, ``evaluate``; repeated kinds are ``train_2`` and so on.
@@ -209,7 +209,7 @@ class ResultFile(Origin):
         kind: one of `KINDS`.
         title: description in one line.
         command: measuring command, as typed in the repository's root or in the benchmark's folder.
-        simulation_version: of the episodes.
+        simulation_version: simulation version of the episodes.
         machine: ``cores`` and ``gpu``, without a name.
         scenes: split of the scenes. ``seeds``: the first and the last.
         seconds: duration; None if not measured.
@@ -286,15 +286,15 @@ def make_result(
     """Returns a result with its origin and machine filled in.
 
     Args:
-        rows: at least one.
+        rows: one or more rows.
         kind: one of `KINDS`.
         title: one line.
         command: as typed; raises `ConfigurationError` if it contains a local path.
         seeds: seeds of the episodes.
         scenes: split of the scenes.
         seconds: duration.
-        simulation_version: of the episodes, if they were not simulated now.
-        versions: installed versions then.
+        simulation_version: simulation version of the episodes, if they were not simulated now.
+        versions: installed versions at that time.
     """
     origin = asdict(present_origin())
     return ResultFile(

@@ -26,7 +26,7 @@ class Knowledge:
 
     Attributes:
         parts: annotated part poses, robot base frame, joints at zero.
-        direction: of the key, if all episodes of the category share it; None if it is drawn per episode.
+        direction: direction of the key, if all episodes of the category share it; None if it is drawn per episode.
     """
 
     parts: Parts

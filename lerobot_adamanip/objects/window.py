@@ -48,7 +48,7 @@ class WindowDesign:
     """Parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
 
     Attributes:
-        width, height: of the sash; ``stile`` is the width of its members.
+        width, height: width and height of the sash; ``stile`` is the width of its members.
         hinge_side: +1 if hinged at +y.
         light: width of a side light, or height of a transom; ``mullion`` is the width of the divider to the sash.
         bars: numbers of vertical and horizontal glazing bars.

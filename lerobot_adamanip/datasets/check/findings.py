@@ -125,7 +125,7 @@ class Report:
     """Findings of a check.
 
     Attributes:
-        root: of the dataset.
+        root: folder of the dataset.
         episodes, rows: numbers of checked ones.
         findings: at most `MOST_OF_A_KIND` of each kind.
         counts: kind -> number of findings.

@@ -71,7 +71,7 @@ def check_cameras(cameras: Mapping[str, Camera], *, key_frames: bool) -> None:
             )
         if key_frames and not ARRIVAL_STAMPED & {cls.__name__ for cls in type(camera).__mro__}:
             raise ConfigurationError(
-                f"Camera {key} does not tell whether a picture was taken after a key frame.",
+                f"Camera {key} does not report whether a picture was taken after a key frame.",
                 got=f"{type(camera).__name__} with execution=keyframe",
                 allowed=f"a FrameReader of this project, {', '.join(sorted(ARRIVAL_STAMPED))}",
                 hint="--robot.execution=stream, or another camera",

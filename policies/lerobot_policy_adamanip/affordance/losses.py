@@ -56,7 +56,7 @@ def sum_losses(
     weight has 0.
 
     Args:
-        losses: of the rows.
+        losses: losses of the rows.
         rows: (R,) their indices in the batch, without repetition.
         batch_size: B.
         reduction: ``mean`` or ``none``.

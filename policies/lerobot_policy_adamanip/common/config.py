@@ -82,7 +82,7 @@ class CloudPolicyConfig(PreTrainedConfig):
     license: str | None = "apache-2.0"
 
     def __post_init__(self) -> None:
-        """Raises `ConfigurationError` for options that do not go together."""
+        """Checks the options, see `check`."""
         with shown_by_parsers():
             self.check()
         super().__post_init__()

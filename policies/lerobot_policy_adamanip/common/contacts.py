@@ -46,7 +46,7 @@ class Past:
 
     @cached_property
     def motions(self) -> tuple[Tensor, Tensor]:
-        """Commanded motions (B, H, 7) in the tool's frame before, and their undone parts in the frame after."""
+        """Commanded motions, seen from the poses before; undone motions, seen from the poses after: (B, H, 7) each."""
         ends = torch.stack([self.poses[:, :-1], self.poses[:, 1:]])
         return motion_between(self.commands, ends).unbind()  # type: ignore[return-value]
 

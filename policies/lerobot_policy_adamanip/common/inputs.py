@@ -215,7 +215,7 @@ def check_batch(config: Any, batch: Mapping[str, Any], state: Tensor, actions: T
     """Raises `ConfigurationError` if a batch does not fit the policy and its dataset; for the first batch.
 
     Args:
-        config: of the policy.
+        config: configuration of the policy.
         batch: preprocessed.
         state: (B, S, D) of the batch.
         actions: (B, A) looked up for the batch's rows, normalised.

@@ -33,7 +33,7 @@ class CloudPolicy(PreTrainedPolicy):
         config.validate_features()
 
     def match_clouds(self, dataset_meta: Any, *, is_trained: bool) -> None:
-        """Stores a dataset's workspace and camera in the configuration, for clouds of a robot's depth at run time.
+        """Stores a dataset's workspace and camera in the configuration: clouds from a robot's depth need both.
 
         Raises `ConfigurationError` if the weights were trained with another workspace or camera.
         """

@@ -28,7 +28,7 @@ class HeadMethod:
         head: network that draws actions: ``anchors`` (typical motions, refined) or ``diffusion`` (the paper's).
         frame: frame of clouds and actions: ``tool``, without normalisation, or ``base``, the robot's.
         encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (the paper's).
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
         prediction_type: target of the U-Net, ``epsilon`` (the noise) or ``sample`` (the clean action).
         step_embed_dim: size of the diffusion step's embedding.
     """

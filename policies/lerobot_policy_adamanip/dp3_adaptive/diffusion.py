@@ -49,10 +49,10 @@ class DiffusionHead(nn.Module):
     """Denoises chunks of actions. Subclasses define the encoding of a chunk and the condition.
 
     Args:
-        config: of the policy.
+        config: configuration of the policy.
         point_dim: number of features of a point.
         condition_dim: number of values of the condition.
-        kernel_size: of the U-Net's convolutions over time, odd.
+        kernel_size: kernel size of the U-Net's convolutions over time, odd.
         clip: bound of a denoised value while sampling.
     """
 
@@ -147,8 +147,8 @@ class BaseDiffusionHead(DiffusionHead):
     """The head of the paper: observed steps and a flat history of actions, in the robot's base frame, normalised.
 
     Args:
-        config: of the policy.
-        stats: of the dataset, for the units of clouds; a checkpoint has its own.
+        config: configuration of the policy.
+        stats: statistics of the dataset, for the units of clouds; a checkpoint has its own.
     """
 
     def __init__(self, config: DP3AdaptiveConfig, stats: Statistics | None) -> None:

@@ -49,8 +49,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     training and at run time. Missing first observations repeat the first one, as LeRobot's padding does.
 
     Args:
-        dataset_stats: of the training data; convert normalised values to metres. Not needed to load a checkpoint.
-        dataset_meta: of the training data, with its files. Needed for training only.
+        dataset_stats: statistics of the training data, for units in metres. Not needed to load a checkpoint.
+        dataset_meta: metadata of the training data, with its files. Needed for training only.
     """
 
     config_class = DP3AdaptiveConfig

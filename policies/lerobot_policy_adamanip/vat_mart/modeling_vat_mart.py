@@ -108,7 +108,7 @@ class VatMartPolicy(AffordancePolicy):
         places = torch.cat([place[:, None], elsewhere], dim=1)
         opening = weight * (share > 0)
         proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, opening)
-        # Scores both, or the scorer would learn to tell a proposal from a demonstration.
+        # Scores both. Otherwise the scorer would learn to distinguish proposals from demonstrations.
         score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(
             cloud, places, reconstructed, share
         )
