@@ -78,8 +78,8 @@ def make_object(identifier: str) -> ArticulatedObject:
     category, number = parse_object_id(identifier)
     novel = _is_novel(identifier)
     generator = importlib.import_module(f"lerobot_adamanip.objects.{category}")
-    made: ArticulatedObject = getattr(generator, f"make_{'novel_' if novel else ''}{category}")(number)
-    return made
+    result: ArticulatedObject = getattr(generator, f"make_{'novel_' if novel else ''}{category}")(number)
+    return result
 
 
 def seen_objects(category: str) -> tuple[str, ...]:

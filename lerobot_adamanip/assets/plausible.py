@@ -98,9 +98,9 @@ def _require_sizes(at_rest: Posed, annotation: Annotation) -> None:
 
 
 def _require_size(urdf: Urdf, category: str, what: str, longest: float, bounds: tuple[float, float]) -> None:
-    least, most = bounds
-    if not least <= longest <= most:
-        got, allowed = f"{longest:.3g} m along its longest side", f"{least:.2g} ... {most:.2g} m"
+    smallest, largest = bounds
+    if not smallest <= longest <= largest:
+        got, allowed = f"{longest:.3g} m along its longest side", f"{smallest:.2g} ... {largest:.2g} m"
         hint = f"see which unit its meshes state, or set the scale: {annotate_hint(urdf.path, category)}"
         raise broken(urdf.path, what, got, allowed, hint=hint)
 

@@ -154,7 +154,9 @@ class BenchmarkReport:
             scenes = [pair for row in rows for pair in zip(row.scene_outcomes, row.scene_tries, strict=False)]
             tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
             if tries:
-                shares.append([sum(count <= most for count in tries) / len(tries) for most in range(MAX_COUNTED_TRIES)])
+                shares.append(
+                    [sum(count <= limit for count in tries) / len(tries) for limit in range(MAX_COUNTED_TRIES)]
+                )
         if len(shares) < len(self.categories):
             return []
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
@@ -176,11 +178,11 @@ class BenchmarkReport:
         """Yields labels and all metrics of each entry."""
         for (method, category, objects), entry in self.entries.items():
             first = entry.results[0]
-            made = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
+            origin = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
             labels = {"subject": method, "mechanism_rules": first.rows[0].mechanism_rules, "category": category}
             within = {f"within_{k}_key_frames": entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
             trainings = {"objects": objects, "trainings": len(entry.results)}
-            yield {**made, **labels, **trainings, **entry.metrics.columns(), **within}
+            yield {**origin, **labels, **trainings, **entry.metrics.columns(), **within}
 
 
 def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:

@@ -95,14 +95,14 @@ def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     check_num_points(num_points, smallest=1)
     if len(points) == 0:
         return np.zeros((num_points, 3), np.float32)
-    wanted = min(num_points, len(points))
+    count = min(num_points, len(points))
     if len(points) < 2:
         return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
     height = min(KDTREE_HEIGHT, len(points).bit_length() - 1)  # a tree of 2^h buckets needs at least 2^h points
-    indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=height, start_idx=0)
+    indices = fpsample.bucket_fps_kdline_sampling(points, count, h=height, start_idx=0)
     chosen = points[np.asarray(indices, dtype=np.int64)]
     return (
         np.resize(chosen, (num_points, 3)).astype(np.float32)
-        if wanted < num_points
+        if count < num_points
         else np.ascontiguousarray(chosen, np.float32)
     )

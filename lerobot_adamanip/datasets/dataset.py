@@ -316,11 +316,11 @@ class Dataset:
             if description.object_id not in manifest.spec.objects:
                 raise ValueError("object_id is none of the collection's")
             integer(2, 10_000)("length", episode.length)
-            found, columns = self.columns(episode), {}
+            arrays, columns = self.columns(episode), {}
             for key, feature in schema.dataset_features(manifest.spec.environment.num_points, cameras=()).items():
-                values = found[key].astype(feature["dtype"], copy=False)
+                values = arrays[key].astype(feature["dtype"], copy=False)
                 columns[key] = values.reshape(episode.length, *feature["shape"])
-            task = self.tasks[int(found["task_index"][0])]
+            task = self.tasks[int(arrays["task_index"][0])]
             return RecordedEpisode(columns, description.record(task))
         except (ValueError, KeyError, TypeError) as error:
             raise DatasetError(
@@ -332,9 +332,9 @@ class Dataset:
 
     def column_table(self, names: Iterable[str]) -> pa.Table:
         """Returns some columns of all rows, ordered by ``index``; raises `DatasetError` for a damaged file."""
-        wanted = list(dict.fromkeys(("index", "episode_index", *names)))
+        selected = list(dict.fromkeys(("index", "episode_index", *names)))
         try:
-            return pq.read_table(sorted(self.root.glob("data/*/*.parquet")), columns=wanted).sort_by("index")
+            return pq.read_table(sorted(self.root.glob("data/*/*.parquet")), columns=selected).sort_by("index")
         except (OSError, pa.ArrowException) as error:
             raise damaged(self.root, first_line(error)) from error
 

@@ -73,13 +73,13 @@ def row_statistics(paths: Sequence[Path], features: Mapping[str, Mapping[str, An
     Raises:
         OSError, ArrowException: a data file cannot be read.
     """
-    found: Statistics = {}
+    statistics: Statistics = {}
     for key, feature in features.items():
         if feature["dtype"] not in _NOT_NUMERIC:
             with contextlib.suppress(_IrregularCellsError):
                 compute = cloud_statistics if key == POINT_CLOUD else value_statistics
-                found[key] = compute(_batches(paths, key))
-    return found
+                statistics[key] = compute(_batches(paths, key))
+    return statistics
 
 
 class _IrregularCellsError(Exception):

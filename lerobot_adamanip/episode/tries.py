@@ -206,10 +206,10 @@ class KeyFrameLabeler:
         self.labels = KeyFrameLabels(trial=self._failed)
         goes_on = number < len(self._ticks)
         if length > (OPENING_TICKS if goes_on and opens else REST_TICKS if goes_on else 0):
-            made = tracker.tries[number]
-            name = list(tracker.kinds)[made.joint]
-            progress = made.direction * (positions[name] - self._positions[name])
-            self.labels = KeyFrameLabels(made.joint, made.failed, progress, self._failed, made.direction)
+            longest = tracker.tries[number]
+            name = list(tracker.kinds)[longest.joint]
+            progress = longest.direction * (positions[name] - self._positions[name])
+            self.labels = KeyFrameLabels(longest.joint, longest.failed, progress, self._failed, longest.direction)
         self._positions, self._failed = dict(positions), tracker.failed_tries
         self._ticks = ticks
         return self.labels

@@ -81,8 +81,8 @@ class Belief:
 
     def blocked_ways(self, joint: str, rest: float) -> set[int]:
         """Returns the signs in which a joint was blocked within ``rest`` [rad or m] of zero, and has never moved."""
-        found = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
-        return found - self._ways(joint, rest)
+        blocked = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
+        return blocked - self._ways(joint, rest)
 
     def way(self, joint: str, rest: float) -> int:
         """Returns the sign of a joint's free direction: it moved there, or the other one is blocked; 0 if unknown."""

@@ -262,8 +262,8 @@ class Hand:
     def _open_in_one_grip(
         self, part: PartAnnotation, joint: str, path: Sequence[float]
     ) -> Generator[Goal, Feedback, Opening]:
-        least = FOLLOWED * path[0]
-        ahead = [position for position in path if position > self.at(joint) + least] or [path[-1]]
+        min_motion = FOLLOWED * path[0]
+        ahead = [position for position in path if position > self.at(joint) + min_motion] or [path[-1]]
         for number, position in enumerate(ahead):
             start = self.at(joint)
             trying = number == 0 and not self.is_ajar(part, joint)
@@ -271,7 +271,7 @@ class Hand:
             if self.empty:
                 return Opening.LOST
             # Checked at each step: a slipping grip leaves the joint behind.
-            if self.feedback.failed and self.at(joint) - start < least:
+            if self.feedback.failed and self.at(joint) - start < min_motion:
                 if self.is_ajar(part, joint):
                     break  # heavy, not locked: keep pulling from here
                 self.positions[joint] = start  # a blocked joint has not moved; the hand gave way

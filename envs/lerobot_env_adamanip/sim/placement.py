@@ -187,10 +187,10 @@ def external_stand(
     # The object faces the robot, rotated by half a turn: its +y is the base's -y.
     aside, hinge = -float(part.grasp[1, 3]), _hinge_y(part)
     if hinge is None or abs(float(part.grasp[1, 3]) - hinge) <= rule.wide:
-        wanted = float(np.clip(aside, -rule.part_y, rule.part_y))
-        return Stand(nominal_x, wanted - aside, floor, _capped(reaches, rule.farthest))
-    wanted = rule.wide_y * float(np.sign(hinge - part.grasp[1, 3]))
-    return Stand(rule.wide_x, wanted - aside, floor, _capped(reaches, {**rule.farthest, **rule.wide_farthest}))
+        part_y = float(np.clip(aside, -rule.part_y, rule.part_y))
+        return Stand(nominal_x, part_y - aside, floor, _capped(reaches, rule.farthest))
+    part_y = rule.wide_y * float(np.sign(hinge - part.grasp[1, 3]))
+    return Stand(rule.wide_x, part_y - aside, floor, _capped(reaches, {**rule.farthest, **rule.wide_farthest}))
 
 
 def _hinge_y(part: PartAnnotation) -> float | None:
@@ -201,8 +201,8 @@ def _hinge_y(part: PartAnnotation) -> float | None:
 
 def _capped(reaches: tuple[ReachRequirement, ...], farthest: Mapping[str, float]) -> tuple[ReachRequirement, ...]:
     def capped(name: str, position: float) -> float:
-        most = farthest.get(name, np.inf)
-        return float(np.clip(position, -most, most))
+        limit = farthest.get(name, np.inf)
+        return float(np.clip(position, -limit, limit))
 
     def path(legs: Path) -> Path:
         return tuple({name: capped(name, position) for name, position in leg.items()} for leg in legs)

@@ -59,11 +59,11 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     for rows in demonstrations.episodes():
         first, stretch = len(recorded), demonstrations.stretches(rows)
         recorded += _interactions(demonstrations, rows, stretch)
-        made = list(enumerate(recorded[first:], first))
+        numbered = list(enumerate(recorded[first:], first))
         for row in range(rows.stop - rows.start - int(demonstrations.final[rows.stop - 1])):
             index = demonstrations.index[rows.start + row]
-            earlier = [number for number, each in made if each.row is not None and each.row < row][-history:]
-            fitting = [number for number, each in made if each.stretch == stretch[row]][:candidates]
+            earlier = [number for number, each in numbered if each.row is not None and each.row < row][-history:]
+            fitting = [number for number, each in numbered if each.stretch == stretch[row]][:candidates]
             past[index, : len(earlier)], known[index, : len(fitting)] = earlier, fitting
     moved, tried = (np.array([getattr(each, name) for each in recorded], bool) for name in ("moved", "tried"))
     if not (tried & ~moved).any() or not (tried & moved).any():
