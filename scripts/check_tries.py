@@ -35,8 +35,8 @@ PLACES = {"at": (0.004, 0.05), "near": (0.03, 0.3), "far": (0.25, 1.0)}
 WAY, TURN = 0.06, 0.6
 """Standard deviations of a hand's motion [m, rad]."""
 MAX_GIVING_SHARE = 0.25
-"""Share of `MIN_JOINT_MOTION` by which a held joint may give way, under every hidden state alike: PhysX's limits yield
-a little to a hand that crushes a part (up to 0.002 rad)."""
+"""Largest allowed motion of a held joint, as a share of `MIN_JOINT_MOTION`. PhysX's limits yield up to 0.002 rad to
+a hand that crushes a part, equally under every hidden state."""
 
 
 @dataclass

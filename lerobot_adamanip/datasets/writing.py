@@ -23,7 +23,7 @@ _OPTIONS: dict[str, Any] = {
     "video_backend": "pyav",
     "video_files_size_in_mb": 25,
 }
-"""Files are small because LeRobot copies the whole video file to append an episode."""
+"""LeRobot's options. Video files are small, because LeRobot copies a whole file to append an episode."""
 
 
 def create_dataset(
