@@ -47,14 +47,14 @@ def collected_episode() -> Way:
     from lerobot_adamanip.episode.options import EnvironmentOptions
     from lerobot_adamanip.experts import make_expert
     from lerobot_adamanip.util import jobs
-    from lerobot_env_adamanip.make_env import make_keyframe_env
+    from lerobot_env_adamanip.make_environment import make_environment
 
     environment = EnvironmentOptions("microwave", objects="microwave_000", num_points=128, observe_images=False)
     spec = CollectionSpec(environment, ("microwave_000",), episodes_per_object=1)
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "WorkerPool", InThisProcess)
         with traced() as way:
-            summary = collect(Path(folder) / "dataset", spec, Factories(make_keyframe_env, make_expert))
+            summary = collect(Path(folder) / "dataset", spec, Factories(make_environment, make_expert))
     assert summary.episodes == 1
     return way
 

@@ -1,6 +1,7 @@
 """AdaManip as a LeRobot plugin: importing this registers environments and policy, without heavy imports.
 
-Key-frame environments are registered with Gymnasium too: ``gymnasium.make("AdaManipKeyframe-Safe-v0", objects="0:4")``.
+The environments are registered with Gymnasium too: ``gymnasium.make("AdaManipKeyframe-Safe-v0", objects="0:4")``, and
+``AdaManipDense-Safe-v0`` at control rate.
 If the variable `lerobot_adamanip.NO_PLUGIN` is set, it skips LeRobot's configurations, which take seconds to import.
 """
 
@@ -12,11 +13,11 @@ from lerobot_adamanip import NO_PLUGIN, __version__, lerobot_patches
 from lerobot_adamanip.contract.categories import CATEGORIES
 
 for category in CATEGORIES.values():
-    gymnasium.register(
-        category.keyframe_id,
-        "lerobot_env_adamanip.keyframe_env:KeyframeEnv",
-        kwargs={"category": category.name},
-    )
+    for name, entry in (
+        (category.keyframe_id, "lerobot_env_adamanip.keyframe_env:KeyframeEnv"),
+        (category.dense_id, "lerobot_env_adamanip.dense_env:DenseEnv"),
+    ):
+        gymnasium.register(name, entry, kwargs={"category": category.name})
 
 if not os.environ.get(NO_PLUGIN):
     from lerobot_adamanip.hardware import ON_CREATION

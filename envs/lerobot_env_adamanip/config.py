@@ -11,6 +11,7 @@ from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import (
     ACTION,
@@ -51,8 +52,18 @@ class AdaManipEnvConfig(EnvConfig):
     max_parallel_tasks: int = 1
     # Without effect: LeRobot's commands do not create these environments by gymnasium.make.
     disable_env_checker: bool = True
-    # Key frames per second of a recorded video. A step is one key frame, so this is not a control rate.
-    fps: int = FPS
+    # Control: keyframe (a step is one key frame), or dense (a step is 1/fps seconds), for any policy of LeRobot.
+    control: str = KEYFRAME
+    # Steps per second of dense control: 5, 10 (default) or 25. For key frames: frames per second of a video.
+    fps: int | None = None
+    # Dense action: ee_delta (7 numbers in -1 ... 1, a motion from the measured tool pose), ee_pose (10), or joint (8).
+    action: str = EE_DELTA
+    # Dense state: pose (8 numbers: position, rotation vector, fingers), or full (24, as key frames have it).
+    state: str = POSE
+    # Whether dense observations hold the point cloud.
+    observe_cloud: bool = False
+    # Whether dense observations hold the effort.
+    observe_effort: bool = False
     # Objects: seen (the paper's number), unseen (the next 20), novel, FIRST:END, nFIRST:nEND (novel ones), or ids
     # separated by commas.
     objects: str = "seen"
@@ -68,8 +79,8 @@ class AdaManipEnvConfig(EnvConfig):
     poses: str = "randomized"
     # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
     mechanism_rules: str = "paper"
-    # Maximum key frames per episode.
-    episode_length: int = MAX_KEY_FRAMES
+    # Maximum steps per episode; by default 45 key frames, or 30 seconds of dense control.
+    episode_length: int | None = None
     # Maximum failed tries per episode; the next failed try ends it. A number, or best (worst case of the best strategy
     # without the hidden state); unset for no limit.
     max_failed_tries: str | None = None
@@ -109,17 +120,23 @@ class AdaManipEnvConfig(EnvConfig):
                 )
             for group in self._groups().values():
                 self._options(**group)
-        self.task = self.task or self.category
-        size = self.image_size
+        self.task, options = self.task or self.category, next(iter(self._groups().values()))
+        chosen = self._options(**options)
+        self.fps = chosen.fps if chosen.is_dense else self.fps or FPS
+        self.episode_length, size = chosen.step_limit, self.image_size
+        dims = {"action": ACTION_DIM, "state": STATE_DIM}
+        if chosen.is_dense:
+            dims = {"action": len(ACTION_NAMES[chosen.action]), "state": len(STATES[chosen.state])}
         table: dict[str, tuple[FeatureType, tuple[int, ...], str]] = {
-            "action": (FeatureType.ACTION, (ACTION_DIM,), ACTION),
-            "agent_pos": (FeatureType.STATE, (STATE_DIM,), STATE),
-            "effort": (FeatureType.STATE, (NUM_JOINTS,), EFFORT),
-            "point_cloud": (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD),
+            "action": (FeatureType.ACTION, (dims["action"],), ACTION),
+            "agent_pos": (FeatureType.STATE, (dims["state"],), STATE),
         }
-        if self.observe_images is not False:
-            for name in CAMERAS:
-                table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
+        if chosen.observes_effort:
+            table["effort"] = (FeatureType.STATE, (NUM_JOINTS,), EFFORT)
+        if chosen.observes_cloud:
+            table["point_cloud"] = (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD)
+        for name in chosen.observed_cameras if self.observe_images is not False else ():
+            table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 
@@ -138,12 +155,16 @@ class AdaManipEnvConfig(EnvConfig):
         shared = [item.name for item in fields(EnvironmentOptions) if item.name != "category"]
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
         workspace = Workspace(self.workspace_lower, self.workspace_upper)
-        values |= {"category": category, "max_key_frames": self.episode_length, "workspace": workspace}
+        values |= {"category": category, "workspace": workspace, "fps": self.fps or 10}
+        if self.control == DENSE:
+            values["max_steps"] = self.episode_length
+        else:
+            values |= {"max_key_frames": self.episode_length or MAX_KEY_FRAMES, "fps": 10}
         return EnvironmentOptions(**{**values, **others})
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
-        """Arguments of `KeyframeEnv`."""
+        """Arguments of `KeyframeEnv` or `DenseEnv`."""
         return {"options": self.options}
 
     def create_envs(
@@ -162,7 +183,8 @@ class AdaManipEnvConfig(EnvConfig):
 
         if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
             logging.getLogger(__name__).warning(line)
-        observed = observes_images(self.observe_images)
+        drawn = self._options(**next(iter(self._groups().values()))).images_from == "raycast"
+        observed = self.observe_images is not False if drawn else observes_images(self.observe_images)
         for name in () if observed else CAMERAS:
             self.features.pop(f"pixels/{name}", None)
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log

@@ -1,4 +1,4 @@
-"""Gymnasium's side of `KeyframeEnv`: spaces with finite bounds, specification, and options of a reset."""
+"""Gymnasium's side of the environments: spaces with finite bounds, specification, and options of a reset."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import gymnasium as gym
 import numpy as np
 
 from lerobot_adamanip.catalog import select_objects
-from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, FINGER_TRAVEL, JOINT, POSE
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
 from lerobot_adamanip.contract.schema import NUM_JOINTS
 from lerobot_adamanip.episode.options import EnvironmentOptions
@@ -29,16 +29,22 @@ MAX_JOINT_POSITION, MAX_JOINT_VELOCITY, MAX_EFFORT = 2 * np.pi, 100.0, 1000.0
 
 def environment_spec(options: EnvironmentOptions) -> gym.envs.registration.EnvSpec:
     """Returns the specification from which `gymnasium.make` makes an equal environment; JSON-serialisable."""
-    spec = copy.deepcopy(gym.spec(CATEGORIES[options.category].keyframe_id))
+    category = CATEGORIES[options.category]
+    spec = copy.deepcopy(gym.spec(category.dense_id if options.is_dense else category.keyframe_id))
     values, defaults = options.to_json(), EnvironmentOptions(options.category).to_json()
     spec.kwargs |= {name: value for name, value in values.items() if value != defaults[name]}
     return spec
 
 
-def action_space() -> gym.Space[Any]:
-    """Returns the space of actions: positions within reach, entries of a rotation matrix, gripper openings."""
+def action_space(options: EnvironmentOptions) -> gym.Space[Any]:
+    """Returns the space of actions: see `ACTION_NAMES`; a key frame is a pose."""
     low = np.array([*DEFAULT_MOTION.reach_lower, *[-1.0] * 6, 0.0], np.float32)
     high = np.array([*DEFAULT_MOTION.reach_upper, *[1.0] * 6, 1.0], np.float32)
+    if options.is_dense and options.action == EE_DELTA:
+        return gym.spaces.Box(-1.0, 1.0, (len(ACTION_NAMES[EE_DELTA]),), np.float32)
+    if options.is_dense and options.action == JOINT:
+        joints = [MAX_JOINT_POSITION] * NUM_JOINTS
+        low, high = np.array([*np.negative(joints), 0.0], np.float32), np.array([*joints, 1.0], np.float32)
     return gym.spaces.Box(low, high, dtype=np.float32)
 
 
@@ -47,18 +53,21 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
     joints = [*[MAX_JOINT_POSITION] * NUM_JOINTS, *[MAX_JOINT_VELOCITY] * NUM_JOINTS]
     # A cloud without points is zeros, also where the workspace does not contain the origin.
     lower, upper = np.minimum(options.workspace.lower, 0.0), np.maximum(options.workspace.upper, 0.0)
-    bounds = {
-        "agent_pos": (np.r_[POSE_LOW, np.negative(joints)], np.r_[POSE_HIGH, joints]),
-        "effort": (np.full(NUM_JOINTS, -MAX_EFFORT), np.full(NUM_JOINTS, MAX_EFFORT)),
-        "point_cloud": (np.tile(lower, (options.num_points, 1)), np.tile(upper, (options.num_points, 1))),
-    }
+    bounds = {"agent_pos": (np.r_[POSE_LOW, np.negative(joints)], np.r_[POSE_HIGH, joints])}
+    if options.is_dense and options.state == POSE:
+        high = np.array([2.0, 2.0, 2.0, *[2 * np.pi] * 3, 2 * FINGER_TRAVEL, 2 * FINGER_TRAVEL])
+        bounds["agent_pos"] = (-high, high)
+    if options.observes_effort:
+        bounds["effort"] = (np.full(NUM_JOINTS, -MAX_EFFORT), np.full(NUM_JOINTS, MAX_EFFORT))
+    if options.observes_cloud:
+        bounds["point_cloud"] = (np.tile(lower, (options.num_points, 1)), np.tile(upper, (options.num_points, 1)))
     spaces: dict[str, gym.Space[Any]] = {
         key: gym.spaces.Box(low.astype(np.float32), high.astype(np.float32), dtype=np.float32)
         for key, (low, high) in bounds.items()
     }
     if options.observe_images:
         picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
-        spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(CAMERAS, picture))
+        spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(options.observed_cameras, picture))
     return gym.spaces.Dict(spaces)
 
 

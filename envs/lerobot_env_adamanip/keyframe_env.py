@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.catalog import object_split
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.dense_codec import pose_state
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
-from lerobot_adamanip.contract.schema import FPS
+from lerobot_adamanip.contract.schema import FPS, STATE_DIM
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
@@ -85,8 +86,9 @@ class RunningEpisode:
         seed, given_seed: seed of the scene, and of the evaluation.
 
     Attributes:
-        success: whether a joint was beyond its goal at the end of any key frame.
-        end: the record, set at the end of the episode; later key frames do not change it.
+        steps: number of key frames, or of dense steps.
+        success: whether a joint was beyond its goal at the end of any step.
+        end: the record, set at the end of the episode; later steps do not change it.
         limit: the limit that has ended the episode, `TIME_LIMIT` or `TOO_MANY_TRIES`; otherwise empty.
     """
 
@@ -103,27 +105,29 @@ class RunningEpisode:
         self.task, self._options, self._provenance, self._log = task, options, provenance, log
         self._seed, self._given_seed = seed, given_seed
         self._hidden = task.simulation.hidden_state()
+        self._step_limit = options.step_limit
         limit = options.max_failed_tries
         _, worst = best_tries(task.category, options.mechanism_rules, self._hidden)
         self._max_failed_tries = None if limit is None else worst if limit == BEST else int(limit)
-        self._labeler = KeyFrameLabeler(task.simulation.tries)
-        self.key_frames = self.clipped_goals = 0
+        self._labeler = KeyFrameLabeler(task.simulation.tries, is_dense=options.is_dense)
+        self.steps = self.clipped_goals = 0
         self.success, self.limit = False, ""
         self.end: EpisodeRecord | None = None
 
     @property
     def labels(self) -> KeyFrameLabels:
-        """Labels of the latest key frame."""
+        """Labels of the latest step."""
         return self._labeler.labels
 
-    def after_key_frame(self) -> None:
-        """Counts and labels a finished key frame; ends the episode at success or at a limit."""
+    def after_step(self) -> None:
+        """Counts and labels a finished step; ends the episode at success or at a limit."""
         simulation, driver = self.task.simulation, self.task.driver
-        self.key_frames += 1
+        self.steps += 1
         self.clipped_goals += driver.feedback.is_clipped
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
-        failed, allowed = simulation.tries.failed_tries, self._max_failed_tries
-        limit = TIME_LIMIT if self.key_frames >= self._options.max_key_frames else ""
+        tries, allowed = simulation.tries, self._max_failed_tries
+        failed = tries.ended_failed_tries if self._options.is_dense else tries.failed_tries
+        limit = TIME_LIMIT if self.steps >= self._step_limit else ""
         limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES
         if self.end is None and (self.success or limit):
@@ -152,9 +156,9 @@ class RunningEpisode:
             object_split=object_split(object_id),
             hidden_state=self._hidden,
             success=self.success,
-            key_frames=self.key_frames,
+            key_frames=self.steps,
             clipped_goals=self.clipped_goals,
-            max_key_frames=self._options.max_key_frames,
+            max_key_frames=self._step_limit,
             max_failed_tries=self._max_failed_tries,
             poses=self._options.poses,
             try_sequence=tuple((item.joint, item.direction, item.failed) for item in simulation.tries.tries),
@@ -204,12 +208,14 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.spec = environment_spec(asked)
         self.options = asked
         if asked.observe_images is None:
-            self.options = asked.changed(observe_images=observes_images(None))
+            source = asked.images_from
+            self.options = asked.changed(observe_images=source == "raycast" or observes_images(None))
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
         self.render_mode = render_mode
-        self._max_episode_steps = self.options.max_key_frames  # name required by LeRobot
+        self._max_episode_steps = self.options.step_limit  # name required by LeRobot
+        self.metadata = {**self.metadata, "render_fps": self.options.fps} if self.options.is_dense else self.metadata
         self._task: AdaManipTask | None = None
         self._episode: RunningEpisode | None = None
         log = None if self.options.episode_log is None else Path(self.options.episode_log)
@@ -220,8 +226,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             SIMULATION_VERSION, __version__, rules, run_id, label, versions=installed_versions()
         )
         self._image: NDArray[np.uint8] | None = None
-        self.action_space = action_space()
+        self.action_space = action_space(self.options)
         self.observation_space = observation_space(self.options)
+        self._spaces: dict[str, Any] = dict(self.observation_space.spaces)
 
     # Gymnasium --------------------------------------------------------------------------------------------------
 
@@ -279,21 +286,27 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
         had_succeeded = self.episode.success
-        success, truncated = self.drive(action)
+        for _ in self.motion(action):
+            pass
+        success, truncated = self.episode.result()
         return self.observe(), float(success and not had_succeeded), success, truncated, self._info()
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Runs `step` without an observation; returns whether the task is done, and whether a limit is reached."""
-        for _ in self.motion(action):
+        """Runs one key frame, in dense control too, without an observation.
+
+        Returns:
+            Whether the task is done, and whether a limit is reached.
+        """
+        for _ in KeyframeEnv.motion(self, action):
             pass
         return self.episode.result()
 
     def motion(self, action: NDArray[np.float32]) -> Generator[None]:
-        """Runs `drive`; yields after each control tick. Closing it aborts the key frame, which then does not count."""
+        """Runs one step; yields after each control tick. Closing it aborts the step, which then does not count."""
         episode = self.episode
         yield from episode.task.driver.motion(np.asarray(action))
         self._image = None
-        episode.after_key_frame()
+        episode.after_step()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Ends the episode without success. Returns the same values as `step` at a limit; ``limit`` is the reason.
@@ -313,19 +326,21 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def observe(self) -> Observation:
         """Returns the present observation."""
-        task = self.episode.task
-        spaces: Any = self.observation_space
-        points = task.cameras.points()
-        images = {name: task.cameras.image(name) for name in (CAMERAS if self.options.observe_images else ())}
+        task, spaces = self.episode.task, self._spaces
+        images = {name: task.cameras.image(name) for name in spaces.get("pixels", {})}
         self._image = images.get(FRONT)
-        arm = task.simulation.arm_state()
-        observation: Observation = {
-            "agent_pos": state_vector(task.driver.feedback, arm.qpos, arm.qvel),
-            "effort": task.driver.effort.astype(np.float32),
-        }
-        for key, values in observation.items():  # a simulated collision may report any effort
+        arm, feedback = task.simulation.arm_state(), task.driver.feedback
+        observation: Observation = {}
+        if len(spaces["agent_pos"].low) == STATE_DIM:
+            observation["agent_pos"] = state_vector(feedback, arm.qpos, arm.qvel)
+        else:
+            observation["agent_pos"] = pose_state(feedback.tcp_in_base, feedback.gripper)
+        if "effort" in spaces:
+            observation["effort"] = task.driver.effort.astype(np.float32)
+        for key, values in observation.items():  # a simulated collision may give any effort
             observation[key] = np.clip(values, spaces[key].low, spaces[key].high)
-        observation["point_cloud"] = workspace_cloud(points, self.workspace, self.num_points)
+        if "point_cloud" in spaces:
+            observation["point_cloud"] = workspace_cloud(task.cameras.points(), self.workspace, self.num_points)
         return {**observation, "pixels": images} if images else observation
 
     def render(self) -> NDArray[np.uint8]:
@@ -394,7 +409,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """
         task = self.episode.task
         task.simulation.set_joints(joints)
-        return {name: task.cameras.image(name) for name in CAMERAS}
+        return {name: task.cameras.image(name) for name in self.options.observed_cameras}
 
     def software_versions(self) -> dict[str, str]:
         """Returns `lerobot_adamanip.contract.versions.software_versions` and the ``renderer``, by name.

@@ -24,6 +24,7 @@ from gymnasium.vector.utils import batch_space
 from lerobot_adamanip.episode.options import MALFORMED_ACTION, EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import thread_limits
+from lerobot_env_adamanip.dense_env import DenseEnv
 from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
@@ -248,4 +249,6 @@ def _new_rollout(options: dict[str, Any] | None) -> dict[str, Any]:
 
 
 def _make(options: EnvironmentOptions) -> gym.Env[Any, Any]:
-    return FlatCloud(FailMalformedActions(KeyframeEnv(options=options)))
+    env = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
+    ended = FailMalformedActions(env)
+    return FlatCloud(ended) if options.observes_cloud else ended

@@ -66,12 +66,12 @@ class CheckCommand:
 
     def _with_replays(self, result: Report, progress: Progress) -> Report:
         from lerobot_adamanip.collection.replay import check_replays
-        from lerobot_env_adamanip.make_env import make_keyframe_env
+        from lerobot_env_adamanip.make_environment import make_environment
 
         count = min(self.replay, result.episodes)
         chosen = [number * result.episodes // count for number in range(count)]
         report = check_replays(
-            self.root, chosen, make_keyframe_env, tolerance=TOLERANCE, assets=self.assets, progress=progress
+            self.root, chosen, make_environment, tolerance=TOLERANCE, assets=self.assets, progress=progress
         )
         return replace(result, findings=result.findings + report.findings, counts=result.counts + report.counts)
 

@@ -56,6 +56,32 @@ class CollectCommand:
     """Folder of external assets, used instead of generated objects; --objects seen means all of them. Needed again to
     resume: the dataset stores hashes of the assets, not their path."""
 
+    control: Literal["keyframe", "dense"] = "keyframe"
+    """One row is a key frame, or 1/fps seconds (dense), as other policies of LeRobot need it."""
+
+    fps: int = 10
+    """Rows per second of dense control: 5, 10 or 25 [Hz]."""
+
+    action: Literal["ee_delta", "ee_pose", "joint"] = "ee_delta"
+    """Dense action. ee_delta: motion of the tool from its measured pose, 7 numbers in -1 ... 1. ee_pose: the tool's
+    pose, 10 numbers. joint: joint positions and gripper, 8 numbers."""
+
+    state: Literal["pose", "full"] = "pose"
+    """Dense state. pose: tool position, rotation vector, fingers. full: the contract's 24 numbers."""
+
+    cloud: bool = False
+    """Record point clouds in dense control too."""
+
+    effort: bool = False
+    """Record joint torques in dense control too."""
+
+    cameras: tuple[Literal["front", "wrist"], ...] = ()
+    """Cameras of the pictures. Default: front and wrist in dense control, front for key frames."""
+
+    image_source: Literal["raycast", "render"] | None = None
+    """Source of pictures. raycast: on any machine. render: needs Vulkan. Default: raycast in dense control, else
+    render."""
+
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
@@ -170,7 +196,10 @@ class CollectCommand:
         """Decides on pictures, after all checks: finding a renderer may take seconds."""
         from lerobot_adamanip.cli.collect_setup import resolve_images
 
-        images = not self.no_images and resolve_images((self.root, *self.adopt), self.image_size is not None)
+        is_drawn = spec.environment.images_from == "raycast"
+        images = not self.no_images and (
+            is_drawn or resolve_images((self.root, *self.adopt), self.image_size is not None)
+        )
         return dataclasses.replace(spec, environment=spec.environment.changed(observe_images=images))
 
     def _spec_without_images(self) -> CollectionSpec:
@@ -187,6 +216,14 @@ class CollectCommand:
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
             max_failed_tries=self.max_failed_tries,
+            control=self.control,
+            fps=self.fps,
+            action=self.action,
+            state=self.state,
+            observe_cloud=self.cloud,
+            observe_effort=self.effort,
+            cameras=self.cameras or None,
+            image_source=self.image_source,
         )
         objects = objects_to_collect(categories, self.objects, self.assets, self.poses)
         check_late_starts(self.late_starts)
@@ -239,6 +276,6 @@ def factories() -> Factories:
     """Returns the factories of simulators and scripted experts."""
     from lerobot_adamanip.collection.record import Factories
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.make_env import make_keyframe_env
+    from lerobot_env_adamanip.make_environment import make_environment
 
-    return Factories(make_keyframe_env, make_expert)
+    return Factories(make_environment, make_expert)

@@ -96,9 +96,9 @@ class ExpertCommand:
 
     def _episodes(self, options: EnvironmentOptions) -> Iterator[EpisodeRecord]:
         from lerobot_adamanip.evaluation.record import EpisodeRecord
-        from lerobot_env_adamanip.make_env import make_keyframe_env
+        from lerobot_env_adamanip.make_environment import make_environment
 
-        env = make_keyframe_env(options)
+        env = make_environment(options)
         try:
             with show_progress({"episodes": "episodes"}) as progress:
                 for number in range(self.episodes):

@@ -35,13 +35,13 @@ class RenderCommand:
     def run(self) -> int:
         """Renders images. Returns 0 for a complete dataset."""
         from lerobot_adamanip.collection.render import add_pictures
-        from lerobot_env_adamanip.make_env import make_keyframe_env
+        from lerobot_env_adamanip.make_environment import make_environment
 
         root = self.root.absolute()
         out = self.out or root.with_name(root.name + "-images")
         with show_progress({"render": "rendered", "assemble": "writing the dataset"}) as progress:
             episodes = add_pictures(
-                root, out, make_keyframe_env, assets=self.assets, repo_id=self.repo_id, progress=progress
+                root, out, make_environment, assets=self.assets, repo_id=self.repo_id, progress=progress
             )
         print_result(self.json, {"out": out, "episodes": episodes}, f"{episodes} episodes with images in {out}")
         return 0

@@ -43,12 +43,12 @@ class ReplayCommand:
     def run(self) -> int:
         """Replays and compares. Returns 0 if everything agrees."""
         from lerobot_adamanip.collection.replay import replay
-        from lerobot_env_adamanip.make_env import make_keyframe_env
+        from lerobot_env_adamanip.make_environment import make_environment
 
         with show_progress({"replay": "key frames"}) as progress:
             advance = functools.partial(progress, "replay")
             result = replay(
-                self.root, self.episode, make_keyframe_env, assets=self.assets, video=self.out, progress=advance
+                self.root, self.episode, make_environment, assets=self.assets, video=self.out, progress=advance
             )
         agrees = result.agrees(self.tolerance)
         print_result(self.json, {**dataclasses.asdict(result), "agrees": agrees}, self._text(result, agrees))

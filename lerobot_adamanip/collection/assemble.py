@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.datasets.appending import append, can_append, in_order
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards import dataset_card
-from lerobot_adamanip.datasets.collection_spec import manifest_path
+from lerobot_adamanip.datasets.collection_spec import columns_of, manifest_path
 from lerobot_adamanip.datasets.dataset import read_back
 from lerobot_adamanip.datasets.encoding import EpisodeFile, PreparedEpisode, preparing_session
 from lerobot_adamanip.datasets.episode import JSON_COLUMNS, PLAIN_COLUMNS, to_json
@@ -80,8 +81,8 @@ def assemble(
     dataset = create_dataset(
         folder,
         contents.repo_id,
-        num_points=environment.num_points,
-        image_size=environment.image_size if environment.observe_images else None,
+        features=columns_of(environment),
+        fps=environment.fps if environment.is_dense else schema.FPS,
         intrinsics=read_shard(contents.shards[0]).record["camera"].get("intrinsics"),
         workspace=None if contents.manifest is not None or box == DEFAULT_WORKSPACE else box,
     )

@@ -11,7 +11,7 @@ import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,6 +27,7 @@ from lerobot_adamanip.datasets.collection_spec import CollectionPaths, Collectio
 from lerobot_adamanip.datasets.episode import EpisodeDescription, start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes, write_shard_bytes
+from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRecorder, DenseStep, dense_rollout
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, SimulatedEnvironment, rollout
 from lerobot_adamanip.util import files
@@ -248,14 +249,17 @@ def attempt_episode(
     """Records one episode, successful or not: an expert's, or a policy's with expert corrections."""
     observation, prefix = _start(env, spec, make_expert, request)
     hidden, camera, late = env.hidden_state(), env.camera_parameters(), bool(len(prefix))
-    recorder = EpisodeRecorder(env.joints)
+    dense = cast("DenseEnvironment", env) if spec.environment.is_dense else None
+    recorder: Any = EpisodeRecorder(env.joints) if dense is None else DenseRecorder(dense)
 
-    def record(key_frame: KeyFrame) -> None:
-        recorder.record(key_frame)
+    def record(step: KeyFrame | DenseStep) -> None:
+        recorder.record(step)
         beat()
 
     expert = functools.partial(_expert, env, spec, make_expert, request)
-    if actor is None:
+    if actor is None and dense is not None:
+        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
+    elif actor is None:
         result = rollout(env, observation, expert(late=late), record, past_success=True)
     else:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))

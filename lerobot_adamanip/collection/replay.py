@@ -174,6 +174,7 @@ def _replay(
         differences={
             key: float(max(np.abs(frame[key] - episode.columns[key][t]).max() for t, frame in enumerate(observations)))
             for key in _COMPARED
+            if key in episode.columns
         },
         success=success,
         recorded_success=episode.record["success"],

@@ -39,6 +39,11 @@ class Category:
         """``AdaManipKeyframe-PressureCooker-v0``: the id of the key-frame environment, for `gymnasium.make`."""
         return f"AdaManipKeyframe-{self.camel_name}-v0"
 
+    @property
+    def dense_id(self) -> str:
+        """``AdaManipDense-PressureCooker-v0``: the id of the environment at control rate, for `gymnasium.make`."""
+        return f"AdaManipDense-{self.camel_name}-v0"
+
 
 CATEGORIES = {
     category.name: category

@@ -97,6 +97,7 @@ class KeyFrameLabels:
         progress: motion of the tried joint in this key frame, in the direction of the try [rad or m]; 0 without a try.
         trial: number of failed tries in this episode before this key frame.
         direction: sign of the try; 0 without a try.
+        number: index of the try in the episode; -1 without a try.
     """
 
     tried: int = -1
@@ -104,6 +105,7 @@ class KeyFrameLabels:
     progress: float = 0.0
     trial: int = 0
     direction: int = 0
+    number: int = -1
 
 
 KeyFrames = Generator[Goal, Feedback, None]

@@ -17,7 +17,8 @@ from lerobot_adamanip.contract.rotations import pose_vector
 
 Observation = Mapping[str, Any]
 """As the environments return it: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and
-``pixels``, camera -> (H, W, 3), where images are observed."""
+``pixels``, camera -> (H, W, 3), where images are observed. In dense control ``agent_pos`` may be (8,), and clouds and
+efforts are there if they are requested."""
 
 
 class RepeatedPointsWarning(UserWarning):
@@ -46,9 +47,13 @@ def state_vector(feedback: Feedback, qpos: NDArray[np.float64], qvel: NDArray[np
 
 def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
     """Returns the dataset columns of one Gym observation, as copies: the environment may reuse its buffers."""
-    return {
-        schema.POINT_CLOUD: np.array(observation["point_cloud"], dtype=np.float32).reshape(-1),
-        schema.STATE: np.array(observation["agent_pos"], dtype=np.float32),
-        schema.EFFORT: np.array(observation["effort"], dtype=np.float32),
-        **{image_column(name): np.array(image, np.uint8) for name, image in observation.get("pixels", {}).items()},
+    columns = {
+        key: np.array(observation[name], dtype=np.float32) for name, key in _COLUMNS.items() if name in observation
     }
+    if schema.POINT_CLOUD in columns:
+        columns[schema.POINT_CLOUD] = columns[schema.POINT_CLOUD].reshape(-1)
+    images = {image_column(name): np.array(image, np.uint8) for name, image in observation.get("pixels", {}).items()}
+    return {**columns, **images}
+
+
+_COLUMNS = {"point_cloud": schema.POINT_CLOUD, "agent_pos": schema.STATE, "effort": schema.EFFORT}

@@ -7,7 +7,7 @@ LeRobot makes every such column a policy input.
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -29,6 +29,11 @@ PROGRESS = "complementary_info.progress"
 JOINTS = "complementary_info.joints"
 EXECUTED = "complementary_info.executed"
 """Action sent to the arm. Where a policy drove it differs from ``action``, which is then the expert's correction."""
+DIRECTION = "complementary_info.direction"
+KEY_FRAME = "complementary_info.key_frame"
+"""Key frame, (10,), that a dense row is part of. It ends in the row whose outcome is not `GOES_ON`."""
+GOES_ON = -1
+"""Outcome of a dense row that does not end its key frame."""
 SUCCESS = "next.success"
 DONE = "next.done"
 
@@ -104,6 +109,35 @@ def dataset_features(
         EXECUTED: {"dtype": "float32", "shape": (ACTION_DIM,), "names": list(POSE_NAMES)},
         JOINTS: {"dtype": "float32", "shape": (len(JOINT_NAMES),), "names": list(JOINT_NAMES)},
     }
+
+
+def dense_features(
+    action: Sequence[str],
+    state: Sequence[str],
+    *,
+    image_size: int = IMAGE_SIZE,
+    cameras: Collection[str] = CAMERAS,
+    num_points: int | None = None,
+    has_effort: bool = False,
+) -> dict[str, dict[str, Any]]:
+    """Returns LeRobotDataset features at control rate, as `dataset_features` does for key frames.
+
+    Args:
+        action: names of its numbers, see `contract.control`.
+        state: likewise.
+        image_size: height and width of images [px].
+        cameras: names of those whose images have a column each.
+        num_points: points per cloud; None for no clouds.
+        has_effort: whether there is the effort.
+    """
+    features = dataset_features(num_points or 1, image_size, cameras=cameras)
+    for key, is_present in ((POINT_CLOUD, num_points is not None), (EFFORT, has_effort)):
+        if not is_present:
+            del features[key]
+    for key, names in ((STATE, state), (ACTION, action), (EXECUTED, action), (KEY_FRAME, POSE_NAMES)):
+        features[key] = {"dtype": "float32", "shape": (len(names),), "names": list(names)}
+    features[DIRECTION] = {"dtype": "int64", "shape": (1,), "names": None}
+    return features
 
 
 def fix_pose_statistics(stats: Statistics) -> Statistics:

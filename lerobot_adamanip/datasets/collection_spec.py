@@ -10,7 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.datasets.output_folder import COLLECTING
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts, to_stored
@@ -167,7 +169,23 @@ def manifest_path(root: Path) -> Path:
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
-    return to_stored({name: plain[name] for name in MANIFEST_FIELDS})
+    names = (*MANIFEST_FIELDS, *DENSE_FIELDS) if environment.is_dense else MANIFEST_FIELDS
+    return to_stored({name: plain[name] for name in names})
+
+
+def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
+    """Returns the features of a dataset of these environments; ``observe_images`` is resolved."""
+    cameras = environment.observed_cameras if environment.observe_images else ()
+    if not environment.is_dense:
+        return schema.dataset_features(environment.num_points, environment.image_size, cameras=cameras)
+    return schema.dense_features(
+        ACTION_NAMES[environment.action],
+        STATES[environment.state],
+        image_size=environment.image_size,
+        cameras=cameras,
+        num_points=environment.num_points if environment.observe_cloud else None,
+        has_effort=environment.observe_effort,
+    )
 
 
 MANIFEST_FIELDS = (
@@ -175,6 +193,10 @@ MANIFEST_FIELDS = (
     "max_failed_tries", "hidden_overrides", "workspace",
 )  # fmt: skip
 """Environment options in a manifest."""
+DENSE_FIELDS = (
+    "control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", "cameras", "image_source",
+)  # fmt: skip
+"""More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
     "logged_seeds",

@@ -14,7 +14,9 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.assets import AssetSource, is_asset_id
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, RATES, STATES
 from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
@@ -29,9 +31,11 @@ from lerobot_adamanip.episode.options import (
     BEST,
     CLOUD_SOURCES,
     IMAGE_SIZES,
+    IMAGE_SOURCES,
     KEY_FRAMES,
     MAX_FAILED_TRIES,
     POSES,
+    STEPS,
     EnvironmentOptions,
     from_stored,
     to_stored,
@@ -226,9 +230,27 @@ _ENVIRONMENT: Mapping[str, Check] = {
     "hidden_overrides": HIDDEN_STATE,
     "workspace": table({"lower": _CORNER, "upper": _CORNER}),
 }
+_DENSE: Mapping[str, Check] = {
+    "control": choice((DENSE,)),
+    "fps": integer(min(RATES), max(RATES)),
+    "action": choice(tuple(ACTION_NAMES)),
+    "state": choice(tuple(STATES)),
+    "max_steps": optional(integer(*STEPS)),
+    "observe_cloud": flag,
+    "observe_effort": flag,
+    "cameras": optional(listing(choice(tuple(CAMERAS)), 1, len(CAMERAS))),
+    "image_source": optional(choice(IMAGE_SOURCES)),
+}
+
+
+def _environment(name: str, value: Any) -> Any:
+    """Checks the options of the environments: those of dense control are there for it alone."""
+    return table({**_ENVIRONMENT, **_DENSE} if "control" in value else _ENVIRONMENT)(name, value)
+
+
 _COLLECTION: Mapping[str, Check] = {
     "objects": listing(check_object_id, 1, MAX_OBJECTS),
-    "environment": table(_ENVIRONMENT),
+    "environment": _environment,
     "expert": choice(EXPERT_KINDS),
     "expert_preset": choice(EXPERT_STRATEGIES),
     "late_starts": number(0.0, 1.0),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.episode import to_json
@@ -30,10 +30,9 @@ def create_dataset(
     root: Path,
     repo_id: str,
     *,
-    num_points: int,
-    image_size: int | None,
-    intrinsics: list[list[float]] | None,
-    cameras: Collection[str] = CAMERAS,
+    features: dict[str, dict[str, Any]],
+    fps: int = schema.FPS,
+    intrinsics: list[list[float]] | None = None,
     workspace: Workspace | None = None,
     depth_camera: str = FRONT,
 ) -> Any:
@@ -42,24 +41,22 @@ def create_dataset(
     Args:
         root: a folder that does not exist.
         repo_id: repository id for LeRobot.
-        num_points: points per cloud.
-        image_size: height and width of images [px]; None for no images.
+        features: columns of the dataset, see `schema.dataset_features`.
+        fps: rows per second.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
-        cameras: names of the cameras of the images.
         workspace: see `cloud_info`.
         depth_camera: see `cloud_info`.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
-    cameras = () if image_size is None else cameras
-    features = schema.dataset_features(num_points, image_size or schema.IMAGE_SIZE, cameras=cameras)
-    features[schema.POINT_CLOUD]["info"] = cloud_info(workspace, depth_camera)
-    if cameras:
+    if schema.POINT_CLOUD in features:
+        features[schema.POINT_CLOUD]["info"] = cloud_info(workspace, depth_camera)
+    if schema.FRONT_IMAGE in features:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
         repo_id=repo_id,
-        fps=schema.FPS,
+        fps=fps,
         features=features,
         root=root,
         **_OPTIONS,

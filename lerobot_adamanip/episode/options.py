@@ -7,7 +7,9 @@ from dataclasses import asdict, dataclass, fields, replace
 from types import MappingProxyType
 from typing import Any
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, RATES, STATES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
@@ -19,7 +21,11 @@ RENDER_BACKENDS = ("auto", "cuda", "cpu")
 """``auto``: the first of the other two that works on this machine."""
 CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
-IMAGE_SIZES, KEY_FRAMES = (16, 2048), (1, 10_000)
+IMAGE_SOURCES = ("raycast", "render")
+"""``raycast``: coloured images by ray casting, on any machine; ``render``: by the renderer, which needs Vulkan."""
+EPISODE_SECONDS = 30
+"""Default duration of an episode of dense control [s]."""
+IMAGE_SIZES, KEY_FRAMES, STEPS = (16, 2048), (1, 10_000), (1, 100_000)
 """Smallest and largest allowed value."""
 BEST = "best"
 """Value of ``max_failed_tries``: the failed tries that the best blind strategy needs at worst, see the metrics."""
@@ -45,8 +51,16 @@ class EnvironmentOptions:
             selects one of them.
         assets: folder of external assets to use instead of generated objects; then ``seen`` means all of them.
         num_points: points per cloud.
-        image_size: side of the front image [px].
-        observe_images: whether observations hold the image; None: if this machine renders.
+        control: see `CONTROLS`.
+        fps: steps per second of dense control [Hz], see `RATES`.
+        action: kind of dense action, see `ACTION_NAMES`.
+        state: kind of state in dense control, see `STATES`. Key frames have the contract's.
+        max_steps: of a dense episode; None: `EPISODE_SECONDS`.
+        observe_cloud, observe_effort: whether dense observations hold point cloud and effort. Key frames always do.
+        image_size: side of an image [px].
+        observe_images: whether observations hold images; None: in dense control, and if this machine renders.
+        cameras: cameras of the images; None: all in dense control, the front camera in key frames.
+        image_source: see `IMAGE_SOURCES`; None: ``raycast`` in dense control, ``render`` in key frames.
         poses: see `POSES`.
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
@@ -70,8 +84,17 @@ class EnvironmentOptions:
     objects: str = "seen"
     assets: str | None = None
     num_points: int = DEFAULT_NUM_POINTS
+    control: str = KEYFRAME
+    fps: int = 10
+    action: str = EE_DELTA
+    state: str = POSE
+    max_steps: int | None = None
+    observe_cloud: bool = False
+    observe_effort: bool = False
     image_size: int = IMAGE_SIZE
     observe_images: bool | None = None
+    cameras: tuple[str, ...] | None = None
+    image_source: str | None = None
     poses: str = "randomized"
     mechanism_rules: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
@@ -106,6 +129,19 @@ class EnvironmentOptions:
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
+        require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
+        require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
+        require_choice("kind of state", self.state, STATES, hint="--env.state=pose")
+        if self.fps not in RATES:
+            raise ConfigurationError("Wrong rate of control.", got=self.fps, allowed=str(RATES), hint="--env.fps=10")
+        if self.max_steps is not None:
+            _check_range("number of steps per episode", self.max_steps, STEPS, "--env.episode_length=300")
+        for name in self.cameras or ():
+            require_choice("camera", name, CAMERAS, hint="--env.cameras='[front,wrist]'")
+        if self.cameras is not None:
+            object.__setattr__(self, "cameras", tuple(self.cameras))
+        if self.image_source is not None:
+            require_choice("source of images", self.image_source, IMAGE_SOURCES, hint="--env.image_source=raycast")
         check_num_points(self.num_points)
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
@@ -119,6 +155,36 @@ class EnvironmentOptions:
                 allowed="a first seed and an end above it",
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
             )
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether a step is a fixed time and not a key frame."""
+        return self.control == DENSE
+
+    @property
+    def step_limit(self) -> int:
+        """Maximum number of steps per episode."""
+        return (self.max_steps or EPISODE_SECONDS * self.fps) if self.is_dense else self.max_key_frames
+
+    @property
+    def observed_cameras(self) -> tuple[str, ...]:
+        """Cameras of the images, if images are observed."""
+        return self.cameras or (tuple(CAMERAS) if self.is_dense else (FRONT,))
+
+    @property
+    def images_from(self) -> str:
+        """One of `IMAGE_SOURCES`."""
+        return self.image_source or ("raycast" if self.is_dense else "render")
+
+    @property
+    def observes_cloud(self) -> bool:
+        """Whether observations hold the point cloud."""
+        return self.observe_cloud or not self.is_dense
+
+    @property
+    def observes_effort(self) -> bool:
+        """Whether observations hold the effort."""
+        return self.observe_effort or not self.is_dense
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickles plain values, because a read-only mapping cannot be pickled."""

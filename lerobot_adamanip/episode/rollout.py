@@ -72,7 +72,7 @@ class SimulatedEnvironment(KeyframeEnvironment, Protocol):
     """Environment with full state and rendering, for recording demonstrations."""
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
-        """Steps without an observation. Returns whether the task is done, and whether a limit is reached."""
+        """Runs a key frame without an observation. Returns whether the task is done, and whether a limit is reached."""
 
     def restart_episode(self) -> None:
         """Starts counting key frames and tries in the present state, as at a reset."""

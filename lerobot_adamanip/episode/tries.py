@@ -107,6 +107,12 @@ class TryTracker:
         """Number of failed tries so far."""
         return sum(each.failed for each in self.tries)
 
+    @property
+    def ended_failed_tries(self) -> int:
+        """Number of failed tries that have ended: one that goes on may still move its joint."""
+        present = [state.current for state in self._states.values()]
+        return sum(each.failed and each not in present for each in self.tries)
+
     def at_rest(self) -> frozenset[str]:
         """Returns the joints that no try moves and that do not need the arm to stay: at zero, or without contact."""
         return frozenset(
@@ -178,14 +184,18 @@ OPENING_TICKS = 15
 
 
 class KeyFrameLabeler:
-    """Labels key frames by the tries of a `TryTracker`, one key frame after the other.
+    """Labels key frames, or dense steps, by the tries of a `TryTracker`, one after the other.
+
+    Args:
+        tracker: tracker of the episode.
+        is_dense: whether steps are too short to hold a whole try: then a step has the label of a try that continues.
 
     Attributes:
-        labels: labels of the latest key frame.
+        labels: labels of the latest step.
     """
 
-    def __init__(self, tracker: TryTracker) -> None:
-        self._tracker = tracker
+    def __init__(self, tracker: TryTracker, *, is_dense: bool = False) -> None:
+        self._tracker, self._is_dense = tracker, is_dense
         self._positions = dict(tracker.positions)
         self._ticks: list[int] = []
         self._failed = 0
@@ -204,12 +214,14 @@ class KeyFrameLabeler:
         pairs = itertools.zip_longest(ticks, self._ticks, fillvalue=0)
         length, number = max(((now - before, number) for number, (now, before) in enumerate(pairs)), default=(0, 0))
         self.labels = KeyFrameLabels(trial=self._failed)
-        goes_on = number < len(self._ticks)
+        goes_on = number < len(self._ticks) and not self._is_dense
         if length > (OPENING_TICKS if goes_on and opens else REST_TICKS if goes_on else 0):
             longest = tracker.tries[number]
             name = list(tracker.kinds)[longest.joint]
             progress = longest.direction * (positions[name] - self._positions[name])
-            self.labels = KeyFrameLabels(longest.joint, longest.failed, progress, self._failed, longest.direction)
+            self.labels = KeyFrameLabels(
+                longest.joint, longest.failed, progress, self._failed, longest.direction, number
+            )
         self._positions, self._failed = dict(positions), tracker.failed_tries
         self._ticks = ticks
         return self.labels

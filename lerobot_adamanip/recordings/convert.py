@@ -234,13 +234,15 @@ def _assembled(root: Path, shards: list[Path], options: ConvertOptions, repo_id:
         raise DatasetError(
             "No episode was converted.", got="0 episodes", allowed="1 or more", hint="adamanip check RECORDING"
         )
-    first = read_record(shards[0]) or {}
+    first, size = read_record(shards[0]) or {}, options.rows.image_size
     dataset = create_dataset(
         root,
         repo_id,
-        num_points=options.rows.num_points,
-        image_size=options.rows.image_size,
-        cameras=(FRONT_CAMERA,),
+        features=schema.dataset_features(
+            options.rows.num_points,
+            size or schema.IMAGE_SIZE,
+            cameras=() if size is None else (FRONT_CAMERA,),
+        ),
         intrinsics=first["camera"]["intrinsics"],
         workspace=None if options.rows.workspace == DEFAULT_WORKSPACE else options.rows.workspace,
         depth_camera=options.camera,

@@ -13,6 +13,7 @@ from lerobot_adamanip.contract.seeds import SPLITS, split_of
 from lerobot_adamanip.datasets.collection_spec import (
     DEMO_SEED_END,
     DEMO_SEED_START,
+    DENSE_FIELDS,
     MANIFEST_FIELDS,
     RUNTIME_FIELDS,
     episode_seed,
@@ -61,7 +62,7 @@ def test_its_environments_are_of_the_training_split_and_have_images() -> None:
 
 def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
     """An option that is added and decides data has to be written down, or datasets cannot tell it."""
-    assert {*MANIFEST_FIELDS, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}
+    assert {*MANIFEST_FIELDS, *DENSE_FIELDS, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}
     assert not set(MANIFEST_FIELDS) & set(RUNTIME_FIELDS)
 
 

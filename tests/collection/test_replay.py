@@ -16,7 +16,7 @@ from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
-from lerobot_env_adamanip import make_env as factory
+from lerobot_env_adamanip import make_environment as factory
 
 ENV = fakes().environment
 Refuses = Callable[[type, Callable[[], Any]], str]
@@ -37,7 +37,7 @@ def test_a_recording_of_other_versions_is_compared_and_said_to_be_one(
     result = replay(finished, 0, fakes(code="b").environment)
     assert result.changed == ("code",)
     assert result.agrees(0.0)
-    monkeypatch.setattr(factory, "make_keyframe_env", fakes(code="b").environment)
+    monkeypatch.setattr(factory, "make_environment", fakes(code="b").environment)
     assert ReplayCommand(root=finished, episode=0).run() == 0
     printed = capsys.readouterr()
     assert "Recorded with other versions: code differ." in printed.out
@@ -47,7 +47,7 @@ def test_a_recording_of_other_versions_is_compared_and_said_to_be_one(
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> None:
     """The command builds the fake environment."""
-    monkeypatch.setattr(factory, "make_keyframe_env", ENV)
+    monkeypatch.setattr(factory, "make_environment", ENV)
 
 
 @pytest.mark.usefixtures("fake")

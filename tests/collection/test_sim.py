@@ -7,7 +7,7 @@ import pytest
 
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_env_adamanip.make_env import make_keyframe_env
+from lerobot_env_adamanip.make_environment import make_environment
 
 pytestmark = pytest.mark.sim
 SMALL = ["--category", "safe", "--objects", "safe_000,safe_003", "--episodes-per-object", "1", "--num-points", "256"]
@@ -29,6 +29,6 @@ def test_safes_are_collected_replayed_and_collected_again_alike(
         assert len(Dataset(root, num_points=256)) == 2
     same_content(*roots)
     # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
-    result = replay(roots[0], 1, make_keyframe_env, video=tmp_path / "replay.mp4")
+    result = replay(roots[0], 1, make_environment, video=tmp_path / "replay.mp4")
     assert result.agrees(1e-6), result
     assert (tmp_path / "replay.mp4").stat().st_size > 0

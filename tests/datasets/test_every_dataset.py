@@ -17,7 +17,7 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_env_adamanip import make_env as factory
+from lerobot_env_adamanip import make_environment as factory
 
 COLLECTED = (
     "collect", "collect, other seed", "collect --no-images", "collect of several categories", "collect --policy",
@@ -48,7 +48,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Mapping[str, Path]:
 
 @pytest.fixture(autouse=True)
 def _fake(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(factory, "make_keyframe_env", make_sound_env)
+    monkeypatch.setattr(factory, "make_environment", make_sound_env)
 
 
 def words(taker: str, root: Path, out: Path) -> list[str]:

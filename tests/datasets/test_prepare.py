@@ -33,7 +33,7 @@ def small_files(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_the_writer_at_hand_can_be_appended_to(tmp_path: Path) -> None:
-    dataset = assembling.create_dataset(tmp_path / "new", "local/new", num_points=8, image_size=None, intrinsics=None)
+    dataset = assembling.create_dataset(tmp_path / "new", "local/new", features=schema.dataset_features(8, cameras=()))
     assert can_append(dataset)
     del dataset.writer._latest_episode
     assert not can_append(dataset)

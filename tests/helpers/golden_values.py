@@ -211,7 +211,7 @@ def _rows() -> Values:
     with tempfile.TemporaryDirectory() as folder:
         root, shard = Path(folder) / "dataset", Path(folder) / "0.safetensors"
         write_shard(shard, episode)
-        dataset = create_dataset(root, "local/golden", num_points=_POINTS, image_size=None, intrinsics=None)
+        dataset = create_dataset(root, "local/golden", features=schema.dataset_features(_POINTS, cameras=()))
         append_shards(dataset, [shard], lambda done, total: None)
         rows = pq.read_table(root / "data/chunk-000/file-000.parquet").to_pydict()
         stats = json.loads((root / "meta/stats.json").read_text())
@@ -305,12 +305,12 @@ def _episode(category: str, number: int) -> Values:
     from lerobot_adamanip.datasets.collection_spec import CollectionSpec
     from lerobot_adamanip.episode.options import EnvironmentOptions
     from lerobot_adamanip.experts import make_expert
-    from lerobot_env_adamanip.make_env import make_keyframe_env
+    from lerobot_env_adamanip.make_environment import make_environment
 
     name = object_id(category, number)
     options = EnvironmentOptions(category, objects=name, num_points=NUM_POINTS, observe_images=False)
     spec = CollectionSpec(options, objects=(name,))
-    with contextlib.closing(make_keyframe_env(spec.environment_of(category))) as env:
+    with contextlib.closing(make_environment(spec.environment_of(category))) as env:
         _, episode = attempt_episode(env, spec, make_expert, EpisodeRequest(name, SEEDS[number]))
     record = episode.record["episode_record"]
     cloud = episode.columns[schema.POINT_CLOUD]

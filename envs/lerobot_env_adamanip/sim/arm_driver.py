@@ -23,6 +23,8 @@ from lerobot_env_adamanip.sim.simulation import Simulation
 
 Array = NDArray[np.float64]
 
+TICKS_PER_SECOND = 50
+"""Control ticks per second of the tasks [Hz]."""
 FINGER_OPEN, FINGER_CLOSED = 0.04, -0.01
 """Finger targets [m]. The closed target is beyond contact, so that the fingers press on thin parts."""
 FINGER_HALF = 0.5 * (FINGER_OPEN + FINGER_CLOSED)
@@ -42,6 +44,11 @@ BRAKING = 0.8
 """Fraction of the acceleration used for braking in a stream, since ticks have a finite length."""
 FOLLOWS = 0.2
 """Minimum fraction of its path that the pose of a stream covers, unless a joint is at its limit."""
+
+AT_REST = 0.03
+"""Maximum joint speed of an arm at rest [rad/s]."""
+STREAM_JOINT_SPEED, STREAM_JOINT_ACCELERATION = 2.0, 10.0
+"""Limits of a stream of joint positions [rad/s, rad/s^2], below the Franka's own."""
 
 Ticks = Generator[None, None, Outcome]
 """Yields after each control tick and returns the outcome."""
@@ -81,8 +88,10 @@ class ArmDriver:
         self.effort: Array = np.zeros(NUM_ARM_JOINTS)
         self.feedback = self.measured()
         self.goal: tuple[Array, float] = (self.feedback.tcp_in_base, self.feedback.gripper)
-        self._stream: tuple[Array, float] | None = None
+        self._stream: Array | None = None
         self._velocity: Array = np.zeros(6)
+        self._joint_goal: Array | None = None
+        self._joint_velocity: Array = np.zeros(NUM_ARM_JOINTS)
         self._holding = self.stalled = self.unreachable = False
         self._stuck = 0
 
@@ -198,7 +207,7 @@ class ArmDriver:
             if stalls:
                 return Outcome.STALLED
             state = self._simulation.arm_state()
-            if k + 1 >= wait and np.abs(state.qvel).max() < 0.03:
+            if k + 1 >= wait and np.abs(state.qvel).max() < AT_REST:
                 break
         actual = self._kinematics.tcp_in_base(state.qpos)
         far = np.linalg.norm(actual[:3, 3] - goal[:3, 3]) > self._limits.reached_position
@@ -255,12 +264,25 @@ class ArmDriver:
             ConfigurationError: the action has the wrong shape or is not finite.
         """
         goal, gripper = self._checked(action)
+        self._start_stream(gripper)
+        self._stream, self._joint_goal, self.goal = goal, None, (goal, gripper)
+
+    def follow_joints(self, qpos: Array, gripper: float) -> None:
+        """Sets the target to joint positions (7,) [rad] within the arm's limits, and a gripper opening."""
+        gripper = float(np.clip(gripper, 0.0, 1.0))
+        self._start_stream(gripper)
+        target = self._kinematics.inside(qpos)
+        self._is_clipped = not np.allclose(target, qpos)
+        self._joint_goal = target
+        self._stream = self._kinematics.tcp_in_base(target)
+        self.goal = self._stream, gripper
+
+    def _start_stream(self, gripper: float) -> None:
         if self._stream is None:
             if self._leans:  # a stalled key frame ends under strain
                 self._target, self._leans = self._simulation.arm_state().qpos.copy(), False
             self._strained = 0
         self._finger_target = FINGER_CLOSED + (FINGER_OPEN - FINGER_CLOSED) * gripper
-        self._stream = self.goal = (goal, gripper)
         self._holding = False
 
     def hold(self) -> None:
@@ -269,22 +291,53 @@ class ArmDriver:
 
     def stream_tick(self) -> None:
         """Advances one control tick towards the target. Without a target the arm stays."""
-        before = self._kinematics.tcp_in_base(self._target)
-        goal = before if self._stream is None or self._holding else self._stream[0]
-        lag = pose_error(self._kinematics.tcp_in_base(self._simulation.arm_state().qpos), before)
-        waypoint, velocity = self._next_waypoint(before, goal)
-        if self.stalled and self._is_farther(waypoint, lag):
-            waypoint, velocity = before, np.zeros(6)
-        self._velocity = velocity
-        self.stalled = self._advance(self._posture(waypoint, before) if velocity.any() else self._target)
+        if self._joint_goal is not None and not self._holding:
+            self.stalled = self._advance(self._next_joints(self._joint_goal))
+        else:
+            before = self._kinematics.tcp_in_base(self._target)
+            goal = before if self._stream is None or self._holding else self._stream
+            lag = pose_error(self._kinematics.tcp_in_base(self._simulation.arm_state().qpos), before)
+            waypoint, velocity = self._next_waypoint(before, goal)
+            if self.stalled and self._is_farther(waypoint, lag):
+                waypoint, velocity = before, np.zeros(6)
+            self._velocity = velocity
+            self.stalled = self._advance(self._posture(waypoint, before) if velocity.any() else self._target)
         self.effort = self._stiffness * (self._target - self._simulation.arm_state().qpos)
-        self.feedback = self.measured()
+        self.feedback = replace(self.measured(), is_clipped=self._is_clipped)
+
+    def _next_joints(self, goal: Array) -> Array:
+        """Returns the next joint targets (7,) on the way to ``goal`` (7,), within the limits of a stream.
+
+        After a stall no joint's lag grows.
+        """
+        left = goal - self._target
+        largest = float(np.abs(left).max())
+        speed = min(STREAM_JOINT_SPEED, _braking_speed(largest, BRAKING * STREAM_JOINT_ACCELERATION))
+        aim = left * (speed / largest) if largest > 0 else np.zeros(NUM_ARM_JOINTS)
+        bound = STREAM_JOINT_ACCELERATION * self._dt
+        velocity = self._joint_velocity + np.clip(aim - self._joint_velocity, -bound, bound)
+        if self.stalled:
+            actual = self._simulation.arm_state().qpos
+            grows = np.abs(self._target + velocity * self._dt - actual) > np.abs(self._target - actual)
+            velocity = np.where(grows, 0.0, velocity)
+        self._joint_velocity = velocity
+        return self._target + velocity * self._dt
+
+    def posture(self, pose: Array) -> Array:
+        """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present target."""
+        return self._solve(pose, LAST_TOLERANCE).qpos
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the arm's joints stand still."""
+        return bool(np.abs(self._simulation.arm_state().qvel).max() < AT_REST)
 
     def end_stream(self) -> None:
         """Drops the target. The next target or key frame starts at the arm's current pose."""
         is_slow = bool(np.abs(self._simulation.arm_state().qvel).max() < LEANING_SPEED)
         self._leans = self.stalled and is_slow
-        self._stream, self._stuck, self._velocity = None, 0, np.zeros(6)
+        self._stream, self._joint_goal, self._stuck, self._velocity = None, None, 0, np.zeros(6)
+        self._joint_velocity = np.zeros(NUM_ARM_JOINTS)
         self._holding = self.stalled = self.unreachable = False
 
     def break_off(self) -> None:
@@ -330,7 +383,8 @@ class ArmDriver:
         follows = solution.within(0.01, 0.06)
         error = pose_error(commanded, waypoint)
         covered = pose_error(commanded, self._kinematics.tcp_in_base(solution.qpos))
-        self._stuck = self._stuck + 1 if not follows or covered @ error < FOLLOWS * (error @ error) else 0
+        moves = error @ error > PATH_TOLERANCE**2  # less than that is not solved for
+        self._stuck = self._stuck + 1 if not follows or (moves and covered @ error < FOLLOWS * (error @ error)) else 0
         self.unreachable = self._stuck >= self._limits.stall_ticks
         if not follows:
             self._velocity = np.zeros(6)

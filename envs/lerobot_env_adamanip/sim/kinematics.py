@@ -122,14 +122,14 @@ class ArmKinematics:
 
         A warm start needs two or three iterations. ``tolerance`` is the error [m, rad] at which it stops.
         """
-        qpos, pulls = self._inside(start), pull.steps
+        qpos, pulls = self.inside(start), pull.steps
         for _ in range(iterations):
             error = pose_error(self.tcp_in_base(qpos), goal)
             if not pulls and max(map(abs, error.tolist())) < tolerance:
                 break
             step, pulled = self._step(qpos, error, pull if pulls else None)
             pulls = max(0, pulls - 1) if pulled >= pull.settled else 0
-            qpos = self._inside(qpos + step)
+            qpos = self.inside(qpos + step)
         else:
             error = pose_error(self.tcp_in_base(qpos), goal)
         position, rotation = error[:3].tolist(), error[3:].tolist()
@@ -152,7 +152,8 @@ class ArmKinematics:
         pulled = _bounded(spare - taken, pull.largest)
         return _bounded(step, LARGEST_STEP) + pulled, max(map(abs, pulled.tolist()))
 
-    def _inside(self, qpos: Array) -> Array:
+    def inside(self, qpos: Array) -> Array:
+        """Returns joint positions (7,) clipped to all limits."""
         return np.asarray(np.minimum(np.maximum(qpos, self.lower), self.upper))
 
 

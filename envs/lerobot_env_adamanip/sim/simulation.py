@@ -249,12 +249,13 @@ class ArmContacts:
     def pushes(self, wanted: Array, actual: Array) -> dict[str, Push]:
         """Returns the push on each joint that carries a touched link. Call this after every tick.
 
-        A joint holds the arm back if the hand lags behind its target along the joint's motion by more than half of
-        `PUSH_LAG`, while it grips the part, or presses on it in that direction, with more than `TOUCH_FORCE`. PhysX
-        reports no friction, so the force of a grip is measured by the lag alone. The push is meant if the hand lags
-        by all of `PUSH_LAG`, and its target has moved by more than `PUSH_WAY` since the arm was free of strain, mostly
-        along this motion. A hand that grazes a part, is deflected by it, or leans on it in another direction, means no
-        push; nor does one that pushes a joint past its nominal limit.
+        A joint holds the arm back if the hand lags behind its target along the joint's motion by more than half
+        of `PUSH_LAG`, while it grips the part, or presses on it in that direction, with more than
+        `TOUCH_FORCE`. PhysX reports no friction, so what a grip transmits is measured by the lag alone. The
+        push is meant if the hand lags by all of `PUSH_LAG`, and its target, which does not move back, has moved
+        by more than `PUSH_WAY` since the arm was free of strain, mostly along this motion. A hand that grazes a
+        part, is deflected by it, or leans on it in another direction, means no push; nor does one that pushes a
+        joint past its nominal limit, or gives up its strain.
 
         Args:
             wanted: tool pose (4, 4) of the joint targets.
@@ -315,8 +316,10 @@ class ArmContacts:
         if not transmits or abs(strain) < 0.5 or self._room(name, direction) < NO_ROOM:
             return Push(sent)
         way = direction * (axis if turns else along)
-        is_meant = abs(strain) > 1 and any(
-            _is_along(wanted @ np.linalg.inv(pose), place, way, turns) for pose in reversed(before)
+        is_meant = (
+            abs(strain) > 1
+            and direction * sent >= 0
+            and any(_is_along(wanted @ np.linalg.inv(pose), place, way, turns) for pose in reversed(before))
         )
         return Push(sent, direction, is_meant)
 

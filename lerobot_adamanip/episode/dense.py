@@ -1,0 +1,259 @@
+"""Experts at control rate: each key frame becomes a timed path of dense actions, observed and sent step by step."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, MotionLimits, Outcome
+from lerobot_adamanip.contract.observation import Observation, observation_columns
+from lerobot_adamanip.contract.rotations import angle_between, straight_path
+from lerobot_adamanip.episode.options import TIME_LIMIT
+from lerobot_adamanip.episode.rollout import RolloutResult, SimulatedEnvironment, next_goal
+
+Array = NDArray[np.float64]
+
+TICK = 0.02
+"""Control tick, in which `MotionLimits` counts [s]."""
+LEAD = 0.1
+"""Time by which a target is ahead of the arm on its path [s]: about as much as the arm of a stream lags."""
+MOST_STRAINED = 0.5
+"""Longest time that a blocked arm takes to give up its strain [s]."""
+GRIPPER_MOVES = 0.05
+"""Difference of commanded gripper openings above which the fingers move."""
+
+
+class DenseEnvironment(SimulatedEnvironment, Protocol):
+    """Environment with a fixed time per step: `lerobot_env_adamanip.dense_env.DenseEnv`."""
+
+    options: Any
+    motion_limits: MotionLimits
+
+    def action_toward(self, target: Array, gripper: float) -> NDArray[np.float32]:
+        """Returns the action that moves the tool to a pose (4, 4), robot base frame, and the gripper."""
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the tool presses against an obstacle in front of its target."""
+
+    @property
+    def is_unreachable(self) -> bool:
+        """Whether the arm cannot move any closer to its target."""
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether the arm's joints stand still."""
+
+
+@dataclass(frozen=True)
+class DenseStep:
+    """One step of a dense rollout.
+
+    Attributes:
+        observation: before the action.
+        action: action of the expert.
+        goal: key frame that it is part of.
+        outcome: how the key frame ended; None while it goes on.
+        following: observation after the action.
+        success: whether the task is done by now.
+        labels: the try that goes on in this step.
+    """
+
+    observation: Observation
+    action: NDArray[np.float32]
+    goal: Goal
+    outcome: Outcome | None
+    following: Observation
+    success: bool
+    labels: KeyFrameLabels
+
+
+def dense_rollout(
+    env: DenseEnvironment,
+    observation: Observation,
+    expert: KeyFrames,
+    on_step: Callable[[DenseStep], None] | None = None,
+    *,
+    past_success: bool = False,
+) -> RolloutResult:
+    """Runs an expert at control rate, as `rollout` does by key frames, in a freshly reset environment.
+
+    Args:
+        env: reset; ``observation`` is what its reset returned.
+        observation: the first one.
+        expert: not yet primed; closed at the end.
+        on_step: called with every step.
+        past_success: continue after success until the expert ends.
+    """
+    success, ended, reason, key_frames = False, False, "the expert ended without success", 0
+    opening, outcome = 1.0, None
+    try:
+        goal = next(expert, None)
+        while goal is not None and not ended:
+            moves_gripper = abs(goal.gripper - opening) > GRIPPER_MOVES
+            motion = KeyFrameMotion(env, goal, moves_gripper=moves_gripper, strained=outcome is Outcome.STALLED)
+            opening, outcome, key_frames = goal.gripper, None, key_frames + 1
+            while outcome is None and not ended:
+                action = motion.action()
+                following, _, terminated, truncated, info = env.step(action)
+                outcome = motion.outcome()
+                success = success or bool(info["is_success"])
+                ended = truncated or (terminated and not past_success)
+                if ended and not success:
+                    reason = info.get("limit", TIME_LIMIT)
+                if on_step is not None:
+                    on_step(DenseStep(observation, action, goal, outcome, following, success, env.labels))
+                observation = following
+            goal = None if outcome is None else next_goal(expert, _feedback(env, outcome))
+    finally:
+        expert.close()
+    return RolloutResult(success, key_frames, "success" if success else reason)
+
+
+@dataclass
+class DenseRecorder:
+    """Records dense steps. Row t: observation t, the action sent from it, and its labels.
+
+    The last row is terminal: the final observation, with an action that keeps the tool pose and was not sent.
+
+    Attributes:
+        env: the environment.
+        steps: recorded steps.
+    """
+
+    env: DenseEnvironment
+    steps: list[DenseStep] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self._joints = [self.env.joints()]
+
+    def record(self, step: DenseStep) -> None:
+        """Adds one step."""
+        self.steps.append(step)
+        self._joints.append(self.env.joints())
+
+    def columns(self) -> dict[str, NDArray[Any]]:
+        """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal.
+
+        A row's label of a try is the final one: whether the joint had moved by the end of the try.
+        """
+        if not self.steps:
+            return {}
+        last, count = self.steps[-1], len(self.steps)
+        stay = self.env.action_toward(self.env.feedback.tcp_in_base, last.goal.gripper)
+        observations = [*(step.observation for step in self.steps), last.following]
+        goals = [*(step.goal for step in self.steps), last.goal]
+        columns = {
+            **_stacked([observation_columns(each) for each in observations]),
+            schema.ACTION: np.stack([*(step.action for step in self.steps), stay]),
+            schema.KEY_FRAME: np.stack([goal.action() for goal in goals]),
+            schema.JOINTS: np.stack(self._joints),
+        }
+        columns[schema.EXECUTED] = columns[schema.ACTION]
+        outcomes = [schema.GOES_ON if step.outcome is None else step.outcome for step in self.steps]
+        labels = {
+            schema.PHASE: [goal.phase for goal in goals],
+            schema.OUTCOME: [*outcomes, schema.GOES_ON],
+            **self._tries(),
+            schema.SUCCESS: [*(step.success for step in self.steps), last.success],
+            schema.DONE: [False] * count + [True],
+        }
+        dtypes = {**schema.LABEL_DTYPES, schema.DIRECTION: "int64"}
+        return columns | {key: np.array(values, dtypes[key])[:, None] for key, values in labels.items()}
+
+    def _tries(self) -> dict[str, list[Any]]:
+        """Returns the columns that label tries."""
+        labels = [step.labels for step in self.steps] + [KeyFrameLabels()]
+        sequence = self.env.episode_record()["try_sequence"]
+        failed = [each.number >= 0 and bool(sequence[each.number][2]) for each in labels]
+        ends = {each.number: row for row, each in enumerate(labels)}
+        counted = sorted(row for number, row in ends.items() if number >= 0 and sequence[number][2])
+        return {
+            schema.TRIED: [each.tried for each in labels],
+            schema.DIRECTION: [each.direction for each in labels],
+            schema.FAILED: failed,
+            schema.PROGRESS: [each.progress for each in labels],
+            schema.TRIAL: [bisect.bisect_left(counted, row) for row in range(len(labels))],
+        }
+
+
+def _stacked(rows: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
+    return {key: np.stack([row[key] for row in rows]) for key in rows[0]}
+
+
+def _feedback(env: DenseEnvironment, outcome: Outcome) -> Feedback:
+    return Feedback(env.feedback.tcp_in_base, env.feedback.gripper, outcome, env.feedback.is_clipped)
+
+
+class KeyFrameMotion:
+    """Dense motion of one key frame: a straight line with a smooth speed profile, as the key-frame driver moves.
+
+    Args:
+        env: environment, at the start of the key frame.
+        goal: the key frame.
+        moves_gripper: whether its fingers move, which takes `MotionLimits.grip_ticks` after the arm has arrived.
+        strained: whether the arm is still blocked by the motion before, which it may be for `MOST_STRAINED`.
+    """
+
+    def __init__(self, env: DenseEnvironment, goal: Goal, *, moves_gripper: bool, strained: bool) -> None:
+        self._env, self._goal, self._limits = env, goal, env.motion_limits
+        self._start, self._time, self._step_time = env.feedback.tcp_in_base, 0.0, 1.0 / env.options.fps
+        self._wait = self._limits.grip_ticks * TICK if moves_gripper else 0.0
+        self._strained_until = MOST_STRAINED if strained else 0.0
+        distance = float(np.linalg.norm(goal.tcp_in_base[:3, 3] - self._start[:3, 3]))
+        angle = angle_between(self._start[:3, :3], goal.tcp_in_base[:3, :3])
+        self._duration = path_duration(distance, angle, self._limits)
+
+    def action(self) -> NDArray[np.float32]:
+        """Returns the next action: towards the point of the path that is `LEAD` ahead."""
+        share = min(1.0, (self._time + self._step_time + LEAD) / self._duration)
+        smooth = np.array([share**3 * (10 - 15 * share + 6 * share**2)])
+        (target,) = (
+            straight_path(self._start, self._goal.tcp_in_base, smooth) if share < 1 else [self._goal.tcp_in_base]
+        )
+        self._time += self._step_time
+        return self._env.action_toward(target, self._goal.gripper)
+
+    def outcome(self) -> Outcome | None:
+        """Returns how the key frame has ended after the latest step; None if it goes on."""
+        limits, env = self._limits, self._env
+        if not env.is_blocked:
+            self._strained_until = 0.0
+        elif self._time >= self._strained_until:
+            return Outcome.STALLED
+        if self._time >= limits.max_ticks * TICK:
+            return Outcome.TIMEOUT
+        left = self._time - self._duration
+        actual, goal = env.feedback.tcp_in_base, self._goal.tcp_in_base
+        is_far = np.linalg.norm(actual[:3, 3] - goal[:3, 3]) > limits.reached_position
+        is_turned = angle_between(actual[:3, :3], goal[:3, :3]) > limits.reached_rotation
+        if env.is_unreachable and (is_far or is_turned):
+            return Outcome.UNREACHABLE
+        if left < self._wait:
+            return None
+        if env.is_at_rest and not (is_far or is_turned):
+            return Outcome.REACHED
+        if left < self._wait + limits.settle_ticks * TICK:
+            return None
+        return Outcome.STALLED if is_far or is_turned else Outcome.REACHED
+
+
+def path_duration(distance: float, angle: float, limits: MotionLimits) -> float:
+    """Returns the least time [s] of a quintic over a distance [m] and an angle [rad] within the limits.
+
+    Its peaks are at 15/8 d/T and 10/sqrt(3) d/T^2.
+    """
+    return max(
+        1.875 * distance / limits.linear_speed,
+        1.875 * angle / limits.angular_speed,
+        math.sqrt(10 / math.sqrt(3) * distance / limits.linear_acceleration),
+        math.sqrt(10 / math.sqrt(3) * angle / limits.angular_acceleration),
+        TICK,
+    )
