@@ -10,8 +10,7 @@
   `RecordedEpisode`, checked for the simulator.
 - ``dataset.column_table(names)``: some columns of all rows. ``labels``: tries and successes counted from them.
 - ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read on first access.
-
-An `EpisodeDescription` is ``EpisodeDescription.from_columns(episode.row)``.
+- ``EpisodeDescription.from_columns(episode.row)``: the description of an episode.
 """
 
 from __future__ import annotations
