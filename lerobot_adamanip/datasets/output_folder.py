@@ -68,7 +68,7 @@ class OutputFolder:
             folder = self.root.with_name(self.root.name + suffix)
             if suffix != self.suffix and (episodes := count_episodes(folder)):
                 raise DatasetError(
-                    f"An unfinished `{command}` has the same output folder.",
+                    f"An unfinished `{command}` waits for this output folder.",
                     got=f"{episodes} episodes in {folder}",
                     allowed="one command for an output folder",
                     hint=f"finish that `{command}` first; or another folder",
