@@ -101,9 +101,9 @@ class AdaManipEnvConfig(EnvConfig):
     logged_seeds: tuple[int, int] | None = None
     # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # Set by itself: shapes of observations and action.
+    # Set automatically: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    # Set by itself: their names in datasets.
+    # Set automatically: their names in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -170,7 +170,7 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{type: {0: vector environment}}``; removes images from the features that nothing renders.
+        """Returns ``{type: {0: vector environment}}``; removes images from the features if nothing renders them.
 
         Raises:
             ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.

@@ -87,8 +87,8 @@ class RunningEpisode:
 
     Attributes:
         steps: number of key frames, or of dense steps.
-        success: whether a joint has been beyond its goal at the end of a step.
-        end: the record, from the end of the episode on; later steps do not change it.
+        success: whether a joint was beyond its goal at the end of any step.
+        end: the record, set at the end of the episode; later steps do not change it.
         limit: the limit that has ended the episode, `TIME_LIMIT` or `TOO_MANY_TRIES`; otherwise empty.
     """
 
@@ -309,7 +309,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         episode.after_step()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
+        """Ends the episode without success. Returns the same values as `step` at a limit; ``limit`` is the reason.
 
         An episode that has ended keeps its result.
         """
