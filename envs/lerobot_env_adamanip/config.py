@@ -159,7 +159,8 @@ class AdaManipEnvConfig(EnvConfig):
         if self.control == DENSE:
             values["max_steps"] = self.episode_length
         else:
-            values |= {"max_key_frames": self.episode_length or MAX_KEY_FRAMES, "fps": 10}
+            length = MAX_KEY_FRAMES if self.episode_length is None else self.episode_length
+            values |= {"max_key_frames": length, "fps": 10}
         return EnvironmentOptions(**{**values, **others})
 
     @property
