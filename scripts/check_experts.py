@@ -46,8 +46,11 @@ SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode and, after its run, its result. ``action``: of dense control, or ``keyframe``. ``key_frames``: key frames,
-    or dense steps, until success; ``placed``: whether a scene exists."""
+    """An episode and, after its run, its result.
+
+    ``action``: of dense control, or ``keyframe``. ``key_frames``: key frames, or dense steps, until success; ``placed``:
+    whether a scene exists.
+    """
 
     mechanism_rules: str
     category: str

@@ -171,8 +171,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     """AdaManip environment with key frames as steps. The simulator starts with the first reset.
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
-    Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) if images are observed, see ``observe_images``. All bounds are finite.
+    Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels``, camera
+        -> (H, W, 3), if images are observed, see ``observe_images``. All bounds are finite.
     Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
         text. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
@@ -208,8 +208,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.spec = environment_spec(asked)
         self.options = asked
         if asked.observe_images is None:
-            source = asked.images_from
-            self.options = asked.changed(observe_images=source == "raycast" or observes_images(None))
+            self.options = asked.changed(observe_images=observes_images(None, asked.images_from))
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
@@ -346,7 +345,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
 
-        Without a Vulkan device it is drawn by ray casting, with a warning.
+        It is drawn by ray casting if that is the source of images, or, with a warning, without a Vulkan device.
         """
         size = self.options.image_size
         if self._image is None:

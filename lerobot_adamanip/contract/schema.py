@@ -86,7 +86,7 @@ FIXED_STATISTICS = {
 
 
 def dataset_features(
-    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = CAMERAS
+    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = (FRONT,)
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 

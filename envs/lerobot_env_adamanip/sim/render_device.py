@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from lerobot_adamanip.episode.options import CLOUD_SOURCES, RENDER_BACKENDS
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, RAYCAST, RENDER_BACKENDS
 from lerobot_adamanip.util.errors import GET_PICTURES, no_vulkan_device, require_choice
 from lerobot_adamanip.util.files import write_atomically
 
@@ -64,19 +64,21 @@ def can_render() -> bool:
     return rendering_device() != NOTHING
 
 
-def observes_images(wanted: bool | None) -> bool:
-    """Returns whether observations include images. None: only if this machine renders; warns if it does not.
+def observes_images(wanted: bool | None, source: str) -> bool:
+    """Returns whether observations include images of a source, see `IMAGE_SOURCES`.
+
+    None means if the source works on this machine, with a warning if not: ray casting always does.
 
     Raises:
-        SimulatorError: images are requested, but this machine cannot render.
+        SimulatorError: rendered images are requested, but this machine cannot render.
     """
-    if wanted is False or can_render():
+    if wanted is False or source == RAYCAST or can_render():
         return wanted is not False
     if wanted:
         raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
     _log.warning(
         "Observations hold no pictures: nothing renders here. Policies of clouds do without. A policy that looks at "
-        "pictures needs --env.observe_images=true, and a renderer: %s.",
+        "pictures needs --env.observe_images=true, and --env.image_source=raycast or a renderer: %s.",
         GET_PICTURES,
     )
     return False
