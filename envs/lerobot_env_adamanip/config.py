@@ -108,9 +108,9 @@ class AdaManipEnvConfig(EnvConfig):
     logged_seeds: tuple[int, int] | None = None
     # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # Set by itself: shapes of observations and action.
+    # Set automatically: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    # Set by itself: their names in datasets.
+    # Set automatically: their names in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:
-    """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on something else.
+    """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on other categories or observations.
 
     A training with ``--dataset.repo_id`` may continue from a policy of any category.
     """

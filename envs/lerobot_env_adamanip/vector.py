@@ -93,7 +93,7 @@ class FailMalformedActions(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class SyncSimulators(gym.vector.SyncVectorEnv):
-    """Environments of this process; `reset` starts new episodes, also in environments that wait after an ended one."""
+    """Environments of this process. `reset` starts new episodes in all of them, also after an ended one."""
 
     def __init__(self, makers: Sequence[Make]) -> None:
         super().__init__(makers, autoreset_mode=AUTORESET)

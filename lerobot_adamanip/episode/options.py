@@ -67,12 +67,12 @@ class EnvironmentOptions:
         max_key_frames: per episode.
         max_failed_tries: maximum failed tries; the next failed try ends the episode. A number, `BEST`, or None.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
-        split: of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
+        split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
         cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
         episode_log: file to which each finished episode appends a line of JSON.
-        run_id: of the evaluation, in those lines; drawn anew by default.
+        run_id: id of the evaluation, in those lines; drawn anew by default.
         run_label: name of the run in reports, for instance the policy.
         logged_seeds: log only episodes whose seed, before mapping, is in this range (first, excluded end); default all.
         workspace: box that the cloud is cropped to, robot base frame [m]; or a mapping with ``lower`` and ``upper``.

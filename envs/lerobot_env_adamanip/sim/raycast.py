@@ -232,7 +232,7 @@ class _View(NamedTuple):
 
 
 class RayScene:
-    """Depth of the workspace in one camera's image, link by link. Casts only the K rays that can end in it."""
+    """Depth of the workspace in one camera's image, link by link. Casts only the K rays that pass the workspace."""
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera
@@ -271,7 +271,7 @@ class RayScene:
                 depth[slots] = self._depths(mesh, view, slots, farthest)
 
     def met(self, depth: Depth) -> Slots:
-        """Returns the rays (M,) whose depths (K,) have a hit inside the workspace."""
+        """Returns the rays (M,) with a hit inside the workspace, from the depths (K,) of all rays."""
         return np.flatnonzero(depth < self._farthest)
 
     def _view(self, mesh: LinkMesh, pose: Pose) -> _View:

@@ -1,4 +1,4 @@
-"""What this machine renders with: its device, tested once and then read from the user's cache, or ray casting.
+"""Rendering device of this machine, tested once and then read from the user's cache; ray casting if there is none.
 
 A GPU in PyTorch does not imply one in Vulkan, and a broken driver may crash or hang. The test therefore runs in its own
 process (`render_probe`). Importing this module does not import the simulator.
@@ -85,7 +85,7 @@ def observes_images(wanted: bool | None, source: str) -> bool:
 
 
 def takes_picture(backend: str, command: tuple[str, ...] = (), seconds: float = PROBE_SECONDS) -> bool:
-    """Returns whether a device renders an image, in a process that may crash and is ended if it hangs."""
+    """Returns whether a device renders an image. Tests it in a process, which may crash and is ended if it hangs."""
     command = command or (sys.executable, "-m", PROBE, backend)
     quiet = subprocess.DEVNULL
     try:

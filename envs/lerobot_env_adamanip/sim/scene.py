@@ -67,9 +67,9 @@ class ObjectScene:
         self.visible: tuple[Visible, ...] = (*column, *plinth, *links)
         """All visible bodies except the arm and the ground."""
 
-    def _build_plinth(self, scene: ManiSkillScene, least: float) -> Visible:
+    def _build_plinth(self, scene: ManiSkillScene, min_half: float) -> Visible:
         depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
-        shape = Shape("box", (max(depth, least), max(width, least), self.floor_z / 2), np.eye(4), _PLINTH)
+        shape = Shape("box", (max(depth, min_half), max(width, min_half), self.floor_z / 2), np.eye(4), _PLINTH)
         builder = _builder(scene, shape)
         builder.add_box_collision(half_size=list(shape.size))
         builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
