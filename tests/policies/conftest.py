@@ -88,7 +88,7 @@ def _opened(root: Path, episodes: tuple[int, ...] | None = None, stamps: str = "
     return LeRobotDataset(REPO_ID, root=root, episodes=chosen, delta_timestamps=ast.literal_eval(stamps))
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
     """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; what is given wins."""
     return lambda policy_type, root=toy_root, **changes: build_policy(policy_type, root, **changes)
@@ -106,7 +106,7 @@ def make_anchors(make_tiny: Callable[..., tuple[Any, ...]]) -> Callable[..., tup
     return lambda **changes: make_tiny(preset="fast", **changes)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def batch_of() -> Callable[..., dict[str, Any]]:
     """Collates items of a dataset, all of them if none are named, and preprocesses them: what `forward` is given."""
 
