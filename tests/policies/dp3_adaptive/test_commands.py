@@ -23,10 +23,6 @@ TINY: dict[str, object] = {
     "type": "dp3_adaptive", "preset": "diffusion", "num_points": 8, "encoder_dims": "[16,16]", "encoder_out_dim": 16,
     "down_dims": "[32,64]",
 }  # fmt: skip
-ACT: dict[str, object] = {
-    "type": "act", "pretrained_backbone_weights": "null", "chunk_size": 4, "n_action_steps": 2, "dim_model": 16,
-    "n_heads": 2, "dim_feedforward": 16, "n_encoder_layers": 1, "n_vae_encoder_layers": 1, "latent_dim": 4,
-}  # fmt: skip
 
 
 TRAINS_TWICE = """
