@@ -14,6 +14,7 @@ from records import record
 from lerobot_adamanip.cli import main as cli
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
+from lerobot_adamanip.evaluation.report import compare
 from lerobot_adamanip.evaluation.results import read_result
 
 
@@ -147,6 +148,16 @@ def test_rules_that_change_nothing_are_told(logs: tuple[str, str], capsys: pytes
     log.write_text(log.read_text().replace(f'"{name}": "paper"', f'"{name}": "hard"'))
     assert cli.main(["report", str(log)]) == 0
     assert "The mechanism rules hard are the paper rules for safe." in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("name", ["max_key_frames", "max_failed_tries", "poses"])
+def test_other_limits_are_compared_with_a_warning(name: str) -> None:
+    records = {label: [record(seed=1)] for label in ("one", "other")}
+    assert not [each for each in compare(records).warnings() if "not to be compared" in each]
+    object.__setattr__(records["other"][0], name, 3)
+    (warning,) = [each for each in compare(records).warnings() if "not to be compared" in each]
+    assert "(one " in warning
+    assert "other 3)" in warning
 
 
 def test_two_simulation_versions_are_compared_with_a_warning_and_give_no_result(
