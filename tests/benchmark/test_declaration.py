@@ -16,6 +16,30 @@ from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.util.errors import ConfigurationError
 
 
+def test_the_papers_declaration_has_every_method_of_the_paper() -> None:
+    found = read_declaration()
+    assert {method.paper for method in found.methods.values()} - {""} == set(SUCCESS)
+    assert set(found.scales) == {"smoke", "overfit", "cpu", "paper", "full"}
+    assert found.scale("cpu").categories == tuple(CATEGORIES)
+    assert found.scale("cpu").episodes >= 50
+
+
+def test_the_papers_methods_learn_from_what_the_paper_trained_them_on() -> None:
+    found = read_declaration()
+    experts = {
+        name: found.demonstrations[method.demonstrations].expert
+        for name, method in found.methods.items()
+        if method.paper
+    }
+    heads = ("dp3_adaptive", "diffusion")
+    assert {name for name, expert in experts.items() if expert == "adaptive"} == {"adaafford", *heads}
+    assert set(experts.values()) == {"adaptive", "static"}
+    for head in heads:
+        for history in ("", "_without_history"):
+            without, ours = (found.methods[f"{head}{on}{history}"] for on in ("_on_static", ""))
+            assert (without.policy, without.options, without.steps) == (ours.policy, ours.options, ours.steps)
+
+
 def test_a_method_can_be_like_one_above_it() -> None:
     methods = {
         **content()["methods"],
