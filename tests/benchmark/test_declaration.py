@@ -13,6 +13,7 @@ from benchmark_helpers import SCALE, content, declared
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES, SUCCESS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
 
 
