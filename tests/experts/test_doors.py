@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, object_names, run, static
 
-from lerobot_adamanip.experts import Phase
+from lerobot_adamanip.experts import Feedback, Outcome, Phase
 from lerobot_adamanip.experts.doors import PULL_ANGLES
 
 fast = settings(max_examples=12, deadline=None)
@@ -84,3 +84,8 @@ def test_a_button_is_pushed_with_a_closed_hand_until_it_stops(name: str, seed: i
     assert [goal.gripper for goal in episode.goals[push - 2 : push + 2]] == [0.0] * 4
     away = np.linalg.norm(episode.felt[push + 1].tcp_in_base[:3, 3] - episode.felt[push].tcp_in_base[:3, 3])
     assert away == pytest.approx(0.1), "it backs off before it goes anywhere else"
+
+
+@pytest.mark.parametrize("outcome", [None, *Outcome])
+def test_only_arriving_and_not_having_gone_are_no_failure(outcome: Outcome | None) -> None:
+    assert Feedback(np.eye(4), 1.0, outcome).failed == (outcome not in (None, Outcome.REACHED))

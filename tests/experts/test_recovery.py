@@ -94,6 +94,20 @@ def test_what_one_grip_does_not_open_is_not_taken_for_open(category: str, kind: 
 
 
 @both
+@pytest.mark.parametrize("category", LOCKED)
+@pytest.mark.parametrize("seed", range(6))
+def test_no_key_is_looked_for_however_often_a_grip_is_torn_off_a_door_that_is_ajar(
+    category: str, kind: Any, seed: int
+) -> None:
+    world = KinematicWorld(seen_objects(category)[0], locked(category), draw=seed, torn=5, torn_from=0.1)
+    episode = run(world, kind(world, seed), at_most=200)
+    ajar = episode.phases.index(Phase.OPEN)
+    assert is_open(episode)
+    assert world.torn == 0
+    assert Phase.UNLOCK not in episode.phases[ajar:]
+
+
+@both
 @every_swung
 @fast
 @given(st.data(), seeds, seeds)
