@@ -20,10 +20,6 @@ def test_safes_are_collected_and_replayed_alike(tmp_path: Path, capfd: pytest.Ca
     assert main(["collect", str(root), *SMALL, "--workers", "1", "--json"]) == 0
     assert json.loads(capfd.readouterr().out)["episodes"] == len(Dataset(root, num_points=256)) == 2
     # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
-<<<<<<< HEAD
-    result = replay(roots[0], 1, make_environment, video=tmp_path / "replay.mp4")
-=======
-    result = replay(root, 1, make_keyframe_env, video=tmp_path / "replay.mp4")
->>>>>>> h-suite
+    result = replay(root, 1, make_environment, video=tmp_path / "replay.mp4")
     assert result.agrees(1e-6), result
     assert (tmp_path / "replay.mp4").stat().st_size > 0
