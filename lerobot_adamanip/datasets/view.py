@@ -42,9 +42,9 @@ Array = NDArray[np.float32]
 
 
 class ShownTry(NamedTuple):
-    """A try; ``progress`` is its joint's motion in the commanded direction [rad or m]; it may recover a failed one.
+    """A try, shown at ``row``, its last one.
 
-    ``row`` is the one of its last action.
+    ``progress``: motion of its joint in the commanded direction [rad or m]; ``recovers``: after a failure.
     """
 
     row: int
@@ -64,8 +64,8 @@ class ShownEpisode:
         tools: (T, 3) positions of the tool, robot base frame [m].
         goals: (G, 3) positions of the key frames.
         effort: (T, 7) external joint torques [N m]; empty if not recorded.
-        phases: of each action; None if unlabelled.
-        outcomes: of each action; None if not recorded, or if it does not end a key frame.
+        phases: phase of each action; None if unlabelled.
+        outcomes: outcome of each action; None if not recorded, or if it does not end a key frame.
         tries: in order.
         unit: what an action is: a ``key frame`` or a ``step``.
     """
