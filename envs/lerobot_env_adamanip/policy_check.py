@@ -108,7 +108,7 @@ def _require_cameras(policy: Any, path: str, offered: Mapping[str, Any]) -> None
     raise ConfigurationError(
         "The policy sees images of other cameras.",
         got=f"{listed(seen)} from the environments",
-        allowed=f"{listed(trained)}, as {path} was trained",
+        allowed=f"{listed(list(trained))}, as {path} was trained",
         hint=own if set(names) <= CAMERAS.keys() else f"--env.cameras='[{cameras}]' --env.camera_names='[{renamed}]'",
     )
 

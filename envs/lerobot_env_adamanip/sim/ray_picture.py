@@ -134,7 +134,7 @@ class RayPictures:
         normals, colors = (np.zeros((3, len(seen)), np.float32) for _ in range(2))
         gloss = np.zeros(len(seen), np.float32)
         normals[2] = 1
-        triangle, u, v = (column[seen[:count]] for column in (hits.triangle, hits.u, hits.v))
+        triangle, (u, v) = hits.triangle[seen[:count]], (column[seen[:count]] for column in (hits.u, hits.v))
         corners = np.ascontiguousarray(looks.normals.take(triangle, axis=0).T)
         inside = (1 - u - v) * corners[:3] + u * corners[3:6] + v * corners[6:]
         for begin, end, pose in zip([0, *ends], ends, poses, strict=False):
@@ -185,7 +185,8 @@ def _may_hide(place: Floats, corners: Sequence[Floats]) -> NDArray[np.int64]:
             grid[left + 1 : right + 2, bottom + 1 : top + 2] |= 1 << index
     grid[-1], grid[:, -1] = 0, 0
     cells = np.clip(np.floor((place[:2] - first) * scale) + 1, 0, _SHADOW_CELLS + 1).astype(np.int64)
-    return grid.ravel()[cells[0] * (_SHADOW_CELLS + 2) + cells[1]]
+    bits: NDArray[np.int64] = grid.ravel()[cells[0] * (_SHADOW_CELLS + 2) + cells[1]]
+    return bits
 
 
 @functools.cache
@@ -265,9 +266,11 @@ def _ground_texture() -> tuple[Floats, NDArray[np.int64], NDArray[np.int64]]:
 
 def _dot(a: Floats, b: Floats) -> Floats:
     """Returns the products (M,) of vectors (3, M)."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    product: Floats = a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return product
 
 
 def _length(vectors: Floats) -> Floats:
     """Returns the lengths (M,) of vectors (3, M)."""
-    return np.maximum(np.sqrt(_dot(vectors, vectors)), np.float32(1e-12))
+    length: Floats = np.maximum(np.sqrt(_dot(vectors, vectors)), np.float32(1e-12))
+    return length
