@@ -27,7 +27,7 @@ AFTER_EDITING = {("averaged", STATS), ("cameras", CAMERAS)}
 def dense(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "WorkerPool", InThisProcess)
-        return collect_dense(tmp_path_factory.mktemp("dense") / "demos", **FULL)
+        return collect_dense(tmp_path_factory.mktemp("dense") / "demos", hidden_overrides={"locked": True}, **FULL)
 
 
 def command(name: str, *arguments: str) -> None:

@@ -36,7 +36,7 @@ def check_dense_values(
             kind = kind_of(features, key if key == schema.STATE else schema.ACTION)
             report.add_rows("limits", f"{key} is outside the limits of {kind}", where, beyond)
     if schema.TRIED in columns and schema.DIRECTION in columns:
-        wrong = (columns[schema.TRIED] >= 0) != (columns[schema.DIRECTION] != 0)
+        wrong = np.asarray((columns[schema.TRIED] >= 0) != (columns[schema.DIRECTION] != 0))
         report.add_rows("label", f"{schema.DIRECTION} and {schema.TRIED} contradict each other", where, wrong)
 
 
