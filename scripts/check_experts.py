@@ -48,7 +48,7 @@ SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
 class Episode:
     """An episode and, after its run, its result.
 
-    ``action``: of dense control, or ``keyframe``. ``key_frames``: key frames, or dense steps, until success; ``placed``:
+    ``action``: of dense control, or ``keyframe``. ``key_frames``: key frames or dense steps until success; ``placed``:
     whether a scene exists.
     """
 

@@ -22,6 +22,8 @@ from lerobot_adamanip.experts import Outcome, Phase
 
 OFTEN = ("README.md", "docs/twin.md")
 """Documents of which the Python blocks run in `make test`; those of the others run every night."""
+PROCESSES = "forkserver"
+"""What a block has that starts a simulator in each of several processes: it runs at night, too."""
 
 
 def python_blocks() -> list[Any]:
@@ -30,7 +32,7 @@ def python_blocks() -> list[Any]:
     for block in blocks("python"):
         if not block.mark.startswith(("new: ", "edit: ")):  # tests/test_extending.py has these
             marks = [pytest.mark.sim] * block.mark.startswith("sim")
-            marks += [pytest.mark.nightly] * (block.document not in OFTEN)
+            marks += [pytest.mark.nightly] * (block.document not in OFTEN or PROCESSES in block.code)
             found.append(pytest.param(block, id=f"{block.document}-{block.number}", marks=marks))
     return found
 

@@ -124,10 +124,6 @@ assert "jar" in suite().chosen()
 """
 
 
-def test_the_tenth_category_works_without_a_simulator(tree: Path) -> None:
-    run(tree, WITHOUT_A_SIMULATOR.format(tree=str(tree)))
-
-
 def test_tests_of_every_category_pass_for_the_tenth(tree: Path) -> None:
     files = ("objects/test_every_object.py", "mechanisms/test_every_mechanism.py", "test_categories.py")
     chosen = ("-k", "jar or table_of_rules or counts_add_up", "-m", "not nightly", "-p", "no:cacheprovider", "-q")
@@ -174,8 +170,8 @@ for number in (1, 2, 3):
 """
 
 
-def test_the_mechanism_and_the_expert_of_the_page_open_it(tree: Path) -> None:
-    run(tree, OWN_MECHANISM)
+def test_category_mechanism_and_expert_of_the_pages_work_without_a_simulator(tree: Path) -> None:
+    run(tree, WITHOUT_A_SIMULATOR.format(tree=str(tree)) + OWN_MECHANISM)
 
 
 MAKE_THE_PAGE = """

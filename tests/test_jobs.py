@@ -58,8 +58,8 @@ def test_crashes_and_hangs_cost_only_what_causes_them(tmp_path: Path) -> None:
 
 
 def test_slow_work_with_heartbeats_is_let_alone(tmp_path: Path) -> None:
-    result = run(tmp_path, ["always:slow"], timeout=4.0)["always:slow"]
-    assert (result.value, result.seconds > 4.0) == ("slow", True)
+    result = run(tmp_path, ["always:slow"], timeout=2.0)["always:slow"]
+    assert (result.value, result.seconds > 2.0) == ("slow", True)
     assert len(list(tmp_path.glob("session-*"))) == 1
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
-import re
 import subprocess
 import sys
 import tarfile
@@ -140,23 +138,6 @@ def test_one_version(wheel: Path) -> None:
     assert f"\nversion: {version}\n" in (ROOT / "CITATION.cff").read_text()
     entry = "Unreleased" if Version(version).is_devrelease else version
     assert f"## [{entry}]" in (ROOT / "CHANGELOG.md").read_text()
-
-
-def test_every_extra_is_imported_by_something() -> None:
-    """An extra that no line imports promises what is not there."""
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    modules = {
-        "mani-skill": "mani_skill", "opencv-python": "cv2", "pycollada": "collada", "franky-control": "franky",
-    }  # fmt: skip
-    packages = ("lerobot_adamanip", "envs", "policies")
-    text = "\n".join(p.read_text() for folder in packages for p in (ROOT / folder).rglob("*.py"))
-    resumes = importlib.util.find_spec("lerobot.common.control_utils")
-    assert resumes is not None
-    assert resumes.origin is not None
-    assert "deepdiff" in Path(resumes.origin).read_text()  # LeRobot's, of which no extra brings it
-    for extra in set(extras) - {"dev", "docs"}:
-        for name in {Requirement(line).name for line in extras[extra]} - {"deepdiff"}:
-            assert re.search(rf"\b(import|from) {modules.get(name, name)}\b", text), f"{extra}: {name}"
 
 
 def test_scripts_are_bash() -> None:

@@ -11,7 +11,6 @@ import yaml
 
 ROOT = Path(__file__).resolve().parents[1]
 WORKFLOWS = sorted((ROOT / ".github" / "workflows").glob("*.yml"))
-FORMS = sorted(path for path in (ROOT / ".github" / "ISSUE_TEMPLATE").glob("*.yml") if path.name != "config.yml")
 VERSION = re.compile(r"[\w.-]+/[\w.-]+@(v\d+\.\d+\.\d+|[0-9a-f]{40})")
 TARGETS = set(re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
 
@@ -49,11 +48,6 @@ def test_a_workflow_is_whole_pinned_and_without_rights(path: Path) -> None:
     assert not re.search(chosen, commands(workflow))
 
 
-def test_one_version_of_each_action() -> None:
-    used = {step["uses"] for path in WORKFLOWS for step in steps(read(path)) if "uses" in step}
-    assert len({action.partition("@")[0] for action in used}) == len(used)
-
-
 def test_what_workflows_run_is_there() -> None:
     text = "\n".join(commands(read(path)) for path in WORKFLOWS)
     assert all(word in text for word in ("make docs", "make check", "scripts/smoke_test_release.py", ".ci/run"))
@@ -83,12 +77,3 @@ def test_a_release_uploads_what_was_tried_and_by_tag_alone() -> None:
     assert names == {"dist"}
     assert '--tag "$TAG"' in commands(release)
     assert tried["strategy"]["matrix"]["extras"] == ["", "sim"]
-
-
-def test_files_that_templates_name_exist() -> None:
-    request = ROOT / ".github" / "PULL_REQUEST_TEMPLATE.md"
-    for path in (*FORMS, request):
-        text = path.read_text(encoding="utf-8")
-        assert all((ROOT / name).exists() for name in re.findall(r"\b(?:docs/[\w/-]+|CHANGELOG|SECURITY)\.md\b", text))
-    named = set(re.findall(r"`make ([a-z]+)`", request.read_text(encoding="utf-8")))
-    assert named == {"check", "test"} <= TARGETS

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.contract.cameras import image_column
+from lerobot_adamanip.contract.cameras import camera_names, image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
@@ -29,7 +29,6 @@ from lerobot_adamanip.contract.schema import (
 from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
-from lerobot_env_adamanip.gym_interface import camera_names
 from lerobot_env_adamanip.sim.render_device import observes_images
 
 if TYPE_CHECKING:

@@ -247,7 +247,7 @@ def make_vector_env(
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next reset.
 
-    ``names`` renames cameras, see `gym_interface.camera_names`.
+    ``names`` renames cameras, see `contract.cameras.camera_names`.
     """
     from lerobot.envs.utils import freeze_after_episode_end  # LeRobot's server imports this module without it
 

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import math
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from lerobot_adamanip.util.errors import ConfigurationError
 
 
 @dataclass(frozen=True)
@@ -46,6 +50,7 @@ PIXEL_CONVENTION = "opencv"
 The middle of a picture is (size - 1) / 2. Resizing by a factor s moves a coordinate c to (c + 0.5) s - 0.5.
 """
 _COLUMNS = "observation.images."
+_CAMERA_NAME = re.compile(r"[A-Za-z0-9_]+")
 
 
 def image_column(camera: str) -> str:
@@ -56,3 +61,20 @@ def image_column(camera: str) -> str:
 def is_image_column(column: str) -> bool:
     """Returns whether a dataset column holds a camera's images."""
     return column.startswith(_COLUMNS)
+
+
+def camera_names(cameras: Sequence[str], names: Sequence[str] | None) -> dict[str, str]:
+    """Returns camera -> its name in observations: ``names`` in the order of the cameras, or their own.
+
+    Raises:
+        ConfigurationError: not one name per camera, a name twice, or another character than letters, digits and _.
+    """
+    names = cameras if names is None else names
+    if len({*names}) != len(names) or len(names) != len(cameras) or not all(map(_CAMERA_NAME.fullmatch, names)):
+        raise ConfigurationError(
+            "Wrong names of cameras.",
+            got=f"camera_names {list(names)} of the cameras {list(cameras)}",
+            allowed="one name per camera, all different, of letters, digits and _",
+            hint="--env.cameras='[front,wrist]' --env.camera_names='[camera1,camera2]'",
+        )
+    return dict(zip(cameras, names, strict=True))

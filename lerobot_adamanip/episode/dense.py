@@ -22,8 +22,9 @@ Array = NDArray[np.float64]
 
 TICK = 0.02
 """Control tick, in which `MotionLimits` counts [s]."""
-LEAD = 0.1
-"""Time by which a target is ahead of the arm on its path [s]: about as much as the arm of a stream lags."""
+LEAD = 0.05
+"""Time by which a target is ahead of the arm on its path [s]. With twice as much, the arm would accelerate so hard that
+it lags as if it were blocked."""
 MOST_STRAINED = 0.5
 """Longest time that a blocked arm takes to give up its strain [s]."""
 GRIPPER_MOVES = 0.05

@@ -64,13 +64,12 @@ def full_size(tmp_path: Path) -> Iterator[Any]:
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
     full_size_door(tmp_path / "door" / "big")
-    env = KeyframeEnv("door", objects="door:big", assets=str(tmp_path), image_size=64, num_points=512)
+    env = KeyframeEnv("door", objects="door:big", assets=str(tmp_path), observe_images=False, num_points=512)
     yield env
     env.close()
 
 
-def _opens(env: Any, seed: int) -> bool:
-    observation, _ = env.reset(seed=seed)
+def _opens(env: Any, seed: int, observation: Any) -> bool:
     expert = make_expert("door", "adaptive", env.annotations, generator=np.random.default_rng(seed))
     return rollout(env, observation, expert).success
 
@@ -81,14 +80,14 @@ def test_the_adaptive_expert_opens_a_full_size_door_and_the_camera_sees_what_it_
     lever = full_size.annotations["lever"].grasp[:3, 3]
     near = np.linalg.norm(observation["point_cloud"] - lever, axis=1) < 0.10
     assert near.sum() >= 5
-    assert _opens(full_size, 1)
+    assert _opens(full_size, 1, observation)
 
 
 @pytest.mark.sim
 @pytest.mark.nightly
 @pytest.mark.timeout(900)
 def test_nine_of_ten_full_size_doors_are_opened(full_size: Any) -> None:
-    opened = [seed for seed in range(100, 120) if _opens(full_size, seed)]
+    opened = [seed for seed in range(100, 120) if _opens(full_size, seed, full_size.reset(seed=seed)[0])]
     assert len(opened) >= 18, f"opened: {opened}"
 
 
@@ -126,7 +125,7 @@ def test_one_asset_out_of_reach_is_left_out_by_name_and_costs_no_other(
     for objects in ("all", named):
         env = KeyframeEnv("safe", objects=objects, assets=str(tmp_path), observe_images=False, num_points=512)
         try:
-            for seed in range(3):
+            for seed in range(2):
                 env.reset(seed=seed, options={"object_id": "safe:near"})
                 assert env.episode_record()["object_id"] == "safe:near"
             if objects == "all":

@@ -109,7 +109,7 @@ def steps_of(declaration: Declaration, name: str) -> dict[str, Step]:
     return {each.kind: each for each in plan(cell(name), declaration, "cpu", VERSIONS).chain()}
 
 
-@pytest.mark.parametrize("name", ["sampling", "vat_mart", "adaafford", "act", "dp3_adaptive"])
+@pytest.mark.parametrize("name", ["sampling", "act", "dp3_adaptive"])
 def test_training_and_testing_are_commands_of_lerobots(name: str) -> None:
     import draccus
     import lerobot.policies  # noqa: F401

@@ -38,7 +38,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 # What is forked here runs nothing of the threads that other tests' libraries have left.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
-DEATHS, PAUSE = 12, 0.002
+DEATHS, PAUSE = 6, 0.002
 
 
 def run_of(path: Path) -> CellRun:

@@ -89,18 +89,6 @@ def test_a_report_needs_the_files_alone(runner: FakeRunner, tmp_path: Path, caps
     assert Path(found["picture of success"]).exists()
 
 
-def test_a_report_marks_what_another_version_of_a_policy_did(
-    runner: FakeRunner, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["benchmark", *SMALL]) == 0
-    monkeypatch.setattr(command, "find_policies", lambda methods: (dict.fromkeys(methods, "b" * 16), {}))
-    count = len(runner.called)
-    assert states(printed_last(capsys, "--report"))["dp3"] == "stale"
-    table = tmp_path / "outputs" / "benchmark" / "smoke" / "report" / "benchmark.md"
-    assert re.search(r"\d † \|", table.read_text())
-    assert len(runner.called) == count
-
-
 def printed_last(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]:
     """What is printed now, and nothing of before."""
     capsys.readouterr()
@@ -135,16 +123,6 @@ def test_ctrl_c_says_how_to_go_on(
     said = capsys.readouterr()
     assert "adamanip benchmark --scale smoke" in said.err
     assert said.out == ""
-    assert runner.called == []
-
-
-def test_a_declaration_of_ones_own(runner: FakeRunner, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from lerobot_adamanip.benchmark.declaration import PAPER_TABLE
-
-    mine = tmp_path / "mine.toml"
-    mine.write_text(PAPER_TABLE.read_text().replace("dp3_on_adaptive", "mine"))
-    assert main(["benchmark", "--config", str(mine), "--scale", "smoke", "--methods", "mine", "--list", "--json"]) == 0
-    assert [cell["method"] for cell in json.loads(capsys.readouterr().out)["cells"]] == ["mine", "mine"]
     assert runner.called == []
 
 

@@ -84,13 +84,18 @@ def test_an_object_that_kills_its_workers_is_reported(tmp_path: Path, refuses: R
 
 @pytest.mark.parametrize("whole_group", [True, False], ids=["group", "parent-only"])
 def test_kill_9_loses_at_most_the_episode_in_progress(tmp_path: Path, finished: Path, whole_group: bool) -> None:
+    """Of the parent alone, too: then its workers end by themselves."""
     root = tmp_path / "dataset"
     # The delay makes an episode last long enough to be killed in; it is no part of what is recorded.
-    process = start(tmp_path, root, {"delay": 0.1})
+    process = start(tmp_path, root, {"delay": 0.1}, workers=1 if whole_group else 2)
     wait_for(lambda: len(shards(root)) >= 2)
     before = shards(root)
+    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+    workers = [Path("/proc") / pid for pid in children.read_text().split()]
+    assert workers
     (os.killpg if whole_group else os.kill)(process.pid, signal.SIGKILL)
     process.wait()
+    wait_for(lambda: not any(worker.exists() for worker in workers), seconds=20.0)
     assert before <= shards(root)
     assert not root.exists()
 
@@ -107,18 +112,6 @@ def test_kill_9_loses_at_most_the_episode_in_progress(tmp_path: Path, finished: 
     assert summary.recorded <= 6 - len(before)
     same_bytes(finished, root)
     assert not CollectionPaths(root).partial.exists()
-
-
-def test_workers_end_when_their_parent_is_killed(tmp_path: Path) -> None:
-    root = tmp_path / "dataset"
-    process = start(tmp_path, root, {"delay": 0.3}, episodes_per_object=50, workers=2)
-    wait_for(lambda: len(shards(root)) >= 1)
-    children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
-    workers = [Path("/proc") / pid for pid in children.read_text().split()]
-    assert workers
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
-    wait_for(lambda: not any(worker.exists() for worker in workers), seconds=20.0)
 
 
 @here

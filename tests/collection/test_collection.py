@@ -46,20 +46,6 @@ def test_a_prefix_of_a_collection_is_balanced_and_a_longer_one_starts_with_a_sho
     assert len({item.file_name for item in items}) == len(items)
 
 
-def test_its_category_is_that_of_its_objects() -> None:
-    assert make_spec().category == "safe"
-    several = make_spec(objects=("safe_001", "lamp_000", "safe_000"))
-    assert several.category == "all"
-    assert several.categories == ("safe", "lamp")
-    assert several.environment_of("lamp").objects == "lamp_000"
-    assert several.environment_of("safe").objects == "safe_001,safe_000"
-
-
-def test_its_environments_are_of_the_training_split_and_have_images() -> None:
-    environment = make_spec(poses="fixed").environment_of("safe")
-    assert (environment.split, environment.observe_images, environment.poses) == ("train", True, "fixed")
-
-
 def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
     """An option that is added and decides data has to be written down, or datasets cannot tell it."""
     assert {*MANIFEST_FIELDS, *DENSE_FIELDS, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}

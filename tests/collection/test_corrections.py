@@ -92,12 +92,6 @@ def test_episodes_are_kept_whether_they_succeed_or_not_and_replay_exactly(mixed:
         assert result.agrees(0.0), result
 
 
-def test_a_policy_that_opens_nothing_is_corrected_all_the_same(tmp_path: Path) -> None:
-    result = collect(tmp_path / "vain", spec(expert_share=0.0, late_starts=0.0), corrected(), patiently())
-    assert (result.recorded, result.failures, result.success_rate) == (6, (), 0.0)
-    assert not any(Dataset(tmp_path / "vain").table["success"].to_pylist())
-
-
 def test_workers_and_interruptions_change_nothing(tmp_path: Path, mixed: Path) -> None:
     root = tmp_path / mixed.name
     collect(root, spec(), corrected(), patiently(workers=2))

@@ -107,13 +107,6 @@ def test_impossible_parts_are_refused(text: str) -> None:
         Part.parse(text)
 
 
-def test_parts_divide_the_episodes(tmp_path: Path) -> None:
-    items = make_spec().items()
-    parts = [Part(number, 4).of(items) for number in (1, 2, 3, 4)]
-    assert sorted(item for part in parts for item in part) == sorted(items)
-    assert max(map(len, parts)) - min(map(len, parts)) <= 1
-
-
 def test_the_command_takes_a_part_or_adopts_parts(tmp_path: Path) -> None:
     line = ["collect", str(tmp_path / "dataset"), "--part", "1/2"]
     assert parse_command("collect", line[1:]).options().part == Part(1, 2)

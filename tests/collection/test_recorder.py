@@ -73,18 +73,6 @@ def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
     assert columns[schema.ACTION][-1][schema.GRIPPER_DIM] == 0.0  # what is held stays held
 
 
-def test_columns_have_the_shapes_and_types_of_the_contract() -> None:
-    env, first = ready(locked=False)
-    recorder = EpisodeRecorder(env.joints)
-    rollout(env, first, play(UNLOCK, PULL), recorder.record)
-    columns = recorder.columns()
-    features = schema.dataset_features(8, 64)
-    assert set(columns) == set(features)
-    for key, feature in features.items():
-        assert columns[key].shape == (3, *feature["shape"])
-        assert columns[key].dtype == ("uint8" if feature["dtype"] == "video" else feature["dtype"])
-
-
 def test_a_recorder_keeps_what_it_was_given_though_the_environment_reuses_its_buffers() -> None:
     _, observation = ready(locked=False)
     seen = observation_columns(observation)

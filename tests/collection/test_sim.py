@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_env_adamanip.make_environment import make_environment
@@ -14,21 +15,11 @@ SMALL = ["--category", "safe", "--objects", "safe_000,safe_003", "--episodes-per
 
 
 @pytest.mark.timeout(280)
-def test_safes_are_collected_replayed_and_collected_again_alike(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    from demos_helpers import same_content
-
-    from lerobot_adamanip.cli.main import main
-
-    roots = [tmp_path / "one", tmp_path / "two"]
-    for root, workers in zip(roots, "12", strict=True):
-        assert main(["collect", str(root), *SMALL, "--workers", workers, "--json"]) == 0
-        assert json.loads(capfd.readouterr().out)["episodes"] == 2
-    for root in roots:  # the folder's name is in the card alone
-        assert len(Dataset(root, num_points=256)) == 2
-    same_content(*roots)
+def test_safes_are_collected_and_replayed_alike(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    root = tmp_path / "dataset"
+    assert main(["collect", str(root), *SMALL, "--workers", "1", "--json"]) == 0
+    assert json.loads(capfd.readouterr().out)["episodes"] == len(Dataset(root, num_points=256)) == 2
     # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
-    result = replay(roots[0], 1, make_environment, video=tmp_path / "replay.mp4")
+    result = replay(root, 1, make_environment, video=tmp_path / "replay.mp4")
     assert result.agrees(1e-6), result
     assert (tmp_path / "replay.mp4").stat().st_size > 0

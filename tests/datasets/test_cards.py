@@ -19,7 +19,6 @@ from records import record
 
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.datasets import cards
 from lerobot_adamanip.datasets.cards import COLUMNS, check_card, dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.editing import filter_episodes
@@ -190,12 +189,3 @@ def test_results_of_an_episode_log_need_its_command(
     (result,) = results_for_card([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
     assert [(row.metrics.success.count, row.metrics.success.episodes) for row in result.rows] == [(2, 3)]
     refuses(ConfigurationError, lambda: results_for_card([log], "lerobot-eval --policy.path=/home/x/policy"))
-
-
-def test_templates_are_found_in_a_checkout_and_in_a_wheel(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    in_checkout = cards.card_template("dataset_card.md").template
-    package = tmp_path / "lerobot_adamanip"
-    (package / "hub_cards").mkdir(parents=True)
-    (package / "hub_cards" / "dataset_card.md").write_text("wheel")
-    monkeypatch.setattr(cards.importlib.resources, "files", lambda name: package)
-    assert cards.card_template("dataset_card.md").template == "wheel" != in_checkout

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import re
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import check_damages as to
@@ -25,7 +24,6 @@ from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
 from lerobot_adamanip.datasets.dataset import open_dataset
 from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.util.errors import DatasetError
 
 NAN = float("nan")
 DAMAGES = [
@@ -217,19 +215,6 @@ def test_replays_tell_what_does_not_happen_again(copy: Path) -> None:
     to.edit_cell(schema.EXECUTED, 3, 0, lambda action: [action[0] + 0.05, *action[1:]])(copy)
     report = check_replays(copy, [0, 3], make_sound_env, tolerance=1e-4)
     assert [(each.kind, each.episode) for each in report.findings] == [("replay", 3)]
-
-
-@pytest.mark.parametrize("folder", ["nothing", "empty", "other"])
-def test_no_dataset_is_one_clear_error(
-    tmp_path: Path, refuses: Callable[..., str], capsys: pytest.CaptureFixture[str], folder: str
-) -> None:
-    (tmp_path / "empty").mkdir()
-    (tmp_path / "other").mkdir()
-    (tmp_path / "other" / "notes.txt").touch()
-    for work in (check, repair):
-        refuses(DatasetError, lambda work=work: work(tmp_path / folder))
-    assert main(["check", str(tmp_path / folder)]) == 2
-    assert capsys.readouterr().err.startswith("error: ")
 
 
 def test_the_command_tells_findings_and_mends_them(copy: Path, capsys: pytest.CaptureFixture[str]) -> None:

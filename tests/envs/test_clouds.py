@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 import rays_and_renderer
 from check_common import check_scenes
-from envs_helpers import NO_VULKAN, at_once_or_at_night, in_fresh_process
+from envs_helpers import at_once_or_at_night
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning, workspace_cloud
@@ -90,38 +90,6 @@ def test_resting_links_are_seen_as_if_they_were_cast_anew(envs: Callable[[str], 
     del cameras.rays
     np.testing.assert_array_equal(moved, cameras.points())
     assert first.shape != moved.shape or not np.array_equal(first, moved)
-
-
-TRY = """
-import json
-import numpy as np
-from lerobot_adamanip.util.errors import SimulatorError
-from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-sizes = {"num_points": 128, "image_size": 64, "split": "test"}
-env = KeyframeEnv("safe", observe_images=False, **sizes)
-cloud = env.reset(seed=4)[0]["point_cloud"]
-picture = env.render()
-env.close()
-said = []
-for wanted in ({"observe_images": True}, {"observe_images": False, "cloud_source": "render"}):
-    env = KeyframeEnv("safe", **sizes, **wanted)
-    for _ in range(2):
-        try:
-            env.reset(seed=4)
-        except SimulatorError as error:
-            said.append(str(error))
-    env.close()
-print(json.dumps({"cloud": cloud.tolist(), "colors": len(np.unique(picture)), "said": said}))
-"""
-
-
-def test_without_a_vulkan_device_clouds_are_the_same_and_videos_are_shaded(envs: Callable[[str], KeyframeEnv]) -> None:
-    told = in_fresh_process(TRY, **NO_VULKAN)
-    np.testing.assert_array_equal(np.asarray(told["cloud"], np.float32), envs("safe").reset(seed=4)[0]["point_cloud"])
-    assert told["colors"] > 20
-    assert len(told["said"]) == 4
-    for words in ("no Vulkan device", "adamanip doctor", "observe_images=False", "--no-images"):
-        assert all(words in text for text in told["said"])
 
 
 @at_once_or_at_night("category", CATEGORIES, ("pen",))

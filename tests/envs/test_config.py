@@ -6,7 +6,6 @@ from typing import Any
 import draccus
 import numpy as np
 import pytest
-from draccus.wrappers.docstring import get_attribute_docstring, get_preferred_help_text
 from lerobot.configs.types import FeatureType
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env, make_env_config
@@ -173,32 +172,7 @@ def test_no_environments_are_refused() -> None:
         AdaManipSafeEnvConfig().create_envs(0)
 
 
-def test_building_starts_no_simulator() -> None:
-    from envs_helpers import in_fresh_process
-
-    code = """
-import json, sys
-from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
-made = AdaManipSafeEnvConfig().create_envs(2)["adamanip_safe"][0]
-print(json.dumps([made.num_envs, [name for name in ("sapien", "mani_skill") if name in sys.modules]]))
-"""
-    assert in_fresh_process(code) == [2, []]
-
-
-# Help -------------------------------------------------------------------------------------------------------------
-
 TYPES = sorted(name for name in EnvConfig.get_known_choices() if name.startswith("adamanip"))
-
-
-@pytest.mark.parametrize("env_type", TYPES)
-def test_the_help_of_every_option_is_the_comment_above_it(env_type: str) -> None:
-    config = EnvConfig.get_choice_class(env_type)
-    for item in dataclasses.fields(config):
-        told = get_preferred_help_text(get_attribute_docstring(config, item.name))
-        assert told, item.name
-        assert told[0].isupper() or told.partition(":")[0].isidentifier(), told
-        assert "type: ignore" not in told
-        assert "noqa" not in told
 
 
 # Splits -----------------------------------------------------------------------------------------------------------

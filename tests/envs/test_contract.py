@@ -23,11 +23,11 @@ pytestmark = pytest.mark.sim
 REGISTERED = sorted(name for name in EnvConfig.get_known_choices() if name.startswith("adamanip"))
 SINGLE = [name for name in REGISTERED if name != "adamanip"]
 every_environment = pytest.mark.parametrize("env_type", SINGLE)
-AT_ONCE = ("adamanip_lamp", "adamanip_safe")
+AT_ONCE = ("adamanip_lamp",)
 some_at_once = pytest.mark.parametrize(
     "env_type", [pytest.param(name, marks=() if name in AT_ONCE else pytest.mark.nightly) for name in SINGLE]
 )
-"""For what hardly depends on the category: two with every change, the others at night."""
+"""For what hardly depends on the category: one with every change, the others at night."""
 
 
 def config_of(env_type: str, **options: Any) -> Any:

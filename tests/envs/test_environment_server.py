@@ -109,9 +109,3 @@ def test_the_image_has_what_the_simulator_needs_in_the_versions_of_this_package(
     installed = set(re.findall(r'"([^" ]+[<=>][^"]+)"', dockerfile))
     assert installed <= known
     assert installed >= set(declared["optional-dependencies"]["sim"])
-
-
-@pytest.mark.parametrize(("observed", "camera"), [(True, "front"), (False, "preview")])
-def test_a_picture_for_people_has_a_name_of_its_own(observed: bool, camera: str) -> None:
-    (function,) = create_adamanip_envs("pen", 1, list, observe_images=observed)["pen"][0]
-    assert set(function().observation_space["pixels"].spaces) == {camera}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -15,7 +14,7 @@ from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES
 from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.metrics import within_best_tries
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.experts import KeyFrames, make_expert
+from lerobot_adamanip.experts import KeyFrames
 from lerobot_adamanip.experts.lamp import MOTIONS, _attempt
 from lerobot_adamanip.experts.primitives import Hand
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
@@ -67,23 +66,14 @@ def test_a_policy_that_repeats_and_the_best_one_have_what_they_must(lamp: Any) -
         assert record.failed_tries == hidden
 
 
-def test_a_random_policy_has_what_it_must(lamp: Any) -> None:
-    """Three tries of three motions, each drawn anew, open 1 - (2/3)^3 of all lamps."""
-    env, opens = lamp(BEST), dict[tuple[int, ...], bool]()
-    drawn = [modes[: modes.index(0) + 1] if 0 in modes else modes for modes in itertools.product(MODES, repeat=3)]
-    for modes in set(drawn):
-        opens[modes], _ = outcome(env, 0, list(modes))
-    assert sum(opens[modes] for modes in drawn) == 27 - 8
-
-
-@pytest.mark.parametrize("most", [0, 1, 2, 5])
-def test_it_is_what_counting_says_of_the_whole_episode(lamp: Any, most: int) -> None:
-    for hidden, modes in ((0, [1, 2, 0]), (2, [1, 1, 0, 2]), (1, [0, 0, 0, 0, 0, 0, 1])):
+def test_it_is_what_counting_says_of_the_whole_episode(lamp: Any) -> None:
+    for hidden, modes in ((0, [1, 2, 0]), (2, [1, 1, 0, 2]), (1, [0, 0, 0, 1])):
         success, whole = outcome(lamp(None), hidden, modes)
         assert success
-        limited, record = outcome(lamp(most), hidden, modes)
-        assert limited == (whole.failed_tries <= most)
-        assert record.try_sequence == whole.try_sequence[: len(record.try_sequence)]
+        for most in (0, 2):
+            limited, record = outcome(lamp(most), hidden, modes)
+            assert limited == (whole.failed_tries <= most)
+            assert record.try_sequence == whole.try_sequence[: len(record.try_sequence)]
         assert outcome(lamp(BEST), hidden, modes)[0] == within_best_tries(whole)
 
 
@@ -111,15 +101,4 @@ def test_a_late_start_that_runs_out_of_time_says_so() -> None:
         env.drive(pose_vector(env.feedback.tcp_in_base, 1.0))
     result = rollout(env, env.observe(), trying(env, [1, 1, 1, 1]))
     assert (result.success, result.key_frames, result.reason) == (False, 2, TIME_LIMIT)
-    env.close()
-
-
-@pytest.mark.parametrize("category", ["safe", "microwave"])
-def test_the_expert_that_feels_stops_stays_within_the_best(category: str) -> None:
-    env = KeyframeEnv(category, **{**SMALL, "objects": "0:2", "observe_images": False, "max_failed_tries": BEST})
-    for seed in range(6):
-        observation, _ = env.reset(seed=seed)
-        rng = np.random.default_rng(seed)
-        expert = make_expert(category, "adaptive", env.annotations, generator=rng, strategy="to_stop")
-        assert rollout(env, observation, expert).success
     env.close()

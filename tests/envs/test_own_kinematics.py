@@ -43,6 +43,7 @@ def test_sapien_keeps_its_own(installed: dict[str, str], name: str) -> None:
     assert done.stdout.split() == [OWN, "True"], "and who wants the other one gets it"
 
 
+@pytest.mark.nightly
 def test_who_came_first_is_told(installed: dict[str, str]) -> None:
     begin = "import sapien; from lerobot_env_adamanip.sim.sapien_import import import_sapien; import_sapien(); "
     done = told(begin + MODULE, installed)

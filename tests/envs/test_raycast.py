@@ -12,8 +12,8 @@ from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.objects import Material, Shape
-from lerobot_env_adamanip.sim import raycast, render_device
-from lerobot_env_adamanip.sim.raycast import LinkMesh, PinholeCamera, RayScene, link_mesh
+from lerobot_env_adamanip.sim import render_device
+from lerobot_env_adamanip.sim.raycast import LinkMesh, PinholeCamera, RayScene
 from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 from lerobot_env_adamanip.sim.triangles import box_triangles, shape_triangles
 
@@ -109,16 +109,6 @@ def test_shapes_have_as_many_facets_as_the_renderers(
     assert len(made) == triangles
     np.testing.assert_allclose(made.reshape(-1, 3).max(0), extent, rtol=1e-6)
     np.testing.assert_allclose(made.reshape(-1, 3).min(0), [-each for each in extent], rtol=1e-6)
-
-
-def test_equal_triangles_are_one_mesh_and_old_ones_are_let_go(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(raycast, "_meshes", {})
-    monkeypatch.setattr(raycast, "_KEPT_SCENES", 2)
-    first = link_mesh(box_triangles((0.1, 0.1, 0.1)))
-    assert link_mesh(box_triangles((0.1, 0.1, 0.1))) is first
-    for size in (0.2, 0.3):
-        link_mesh(box_triangles((size, size, size)))
-    assert link_mesh(box_triangles((0.1, 0.1, 0.1))) is not first
 
 
 def test_without_embreex_clouds_are_rendered_and_one_line_says_so(

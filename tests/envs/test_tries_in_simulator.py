@@ -12,9 +12,10 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 pytestmark = pytest.mark.sim
 
 
-@at_once_or_at_night("category", CATEGORIES, ("lamp", "microwave"))
+@at_once_or_at_night("category", CATEGORIES, ("lamp",))
 def test_no_joint_moves_or_is_released_or_tells_without_a_try(category: str) -> None:
-    results = check_scenes(category, range(6), check_tries.check)
+    scenes = 3 if category == "lamp" else 6
+    results = check_scenes(category, range(scenes), check_tries.check)
     assert [result.wrong for result in results] == [[]] * len(results)
-    assert sum(result.hands for result in results) >= 20
+    assert sum(result.hands for result in results) >= 3 * scenes
     assert sum(sum(result.tries.values()) for result in results) > 0, "some hands try"

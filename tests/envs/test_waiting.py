@@ -32,7 +32,7 @@ def _light(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes that import no simulator."""
     monkeypatch.setattr(vector, "_server", SERVER)
     monkeypatch.setattr(vector, "PRELOADED", ["lerobot.envs.utils", "lerobot_env_adamanip.vector"])
-    monkeypatch.setattr(vector, "CLOSE_TIMEOUT_S", 3.0)
+    monkeypatch.setattr(vector, "CLOSE_TIMEOUT_S", 1.0)
 
 
 @pytest.fixture

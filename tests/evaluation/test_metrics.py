@@ -125,17 +125,6 @@ def test_an_episode_counts_once_and_the_last_record_wins(records: list[EpisodeRe
     assert summarise([record(), record(object_id="safe_001"), record(locked=True)]).episodes == 3
 
 
-@given(RECORDS)
-def test_order_does_not_matter_without_repeats(records: list[EpisodeRecord]) -> None:
-    kept = without_repeats(records)
-    forward, backward = summarise(kept), summarise(kept[::-1])
-    assert list(forward.groups) == list(backward.groups)
-    assert {group: result.success for group, result in forward.groups.items()} == {
-        group: result.success for group, result in backward.groups.items()
-    }
-    assert forward.objects == backward.objects
-
-
 def test_two_evaluations_in_one_log_are_told_apart() -> None:
     log = [record(seed=1), record(seed=1, run_id="b"), record(seed=2), record(seed=2, run_id="b", success=False)]
     first, second = split_evaluations(log)

@@ -92,12 +92,6 @@ def test_an_episode_that_cannot_be_logged_is_one_clear_error(tmp_path: Path) -> 
         append_record(Path("/dev/full"), record())
 
 
-def test_a_log_of_another_version_is_told(tmp_path: Path) -> None:
-    old = {"seed": 1000, "object_id": "safe_003", "hidden_state": {"locked": True}, "success": True}
-    with pytest.raises(DatasetError, match="of this version"):
-        read_log(write(tmp_path / "log.jsonl", old))
-
-
 def test_an_evaluation_is_run_label_and_round_and_ids_differ() -> None:
     assert record().evaluation == record(seed=9, locked=True).evaluation
     for change in ({"run_id": "other"}, {"run_label": "act"}, {"evaluation": 1}):

@@ -13,7 +13,6 @@ from lerobot_adamanip.episode.tries import (
     REST_TICKS,
     KeyFrameLabeler,
     Push,
-    Try,
     TryTracker,
 )
 
@@ -170,7 +169,3 @@ def test_a_push_that_ends_as_the_fingers_open_is_not_of_that_key_frame(world: Wo
     assert labeler.after_key_frame(world.positions, opens=True).tried == -1
     world.moves("knob", ticks=OPENING_TICKS + 1)
     assert labeler.after_key_frame(world.positions, opens=True).tried == 1
-
-
-def test_a_try_starts_as_failed_until_the_joint_moves() -> None:
-    assert Try(0, 1).failed

@@ -10,8 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, object_names, run, static
 
-from lerobot_adamanip.contract.rotations import pose_from_vector, rotation_about, transform
-from lerobot_adamanip.experts import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.experts import Feedback, Outcome, Phase
 from lerobot_adamanip.experts.doors import PULL_ANGLES
 
 fast = settings(max_examples=12, deadline=None)
@@ -85,14 +84,6 @@ def test_a_button_is_pushed_with_a_closed_hand_until_it_stops(name: str, seed: i
     assert [goal.gripper for goal in episode.goals[push - 2 : push + 2]] == [0.0] * 4
     away = np.linalg.norm(episode.felt[push + 1].tcp_in_base[:3, 3] - episode.felt[push].tcp_in_base[:3, 3])
     assert away == pytest.approx(0.1), "it backs off before it goes anywhere else"
-
-
-def test_a_goal_says_its_pose_in_the_contract_s_words() -> None:
-    pose = transform((0.4, -0.1, 0.6), rotation_about((1, 2, 3), 0.7))
-    action = Goal(pose, 0.5, Phase.TRY).action()
-    back, gripper = pose_from_vector(action)
-    assert (action.shape, action.dtype, gripper) == ((10,), np.float32, 0.5)
-    np.testing.assert_allclose(back, pose, atol=1e-6)
 
 
 @pytest.mark.parametrize("outcome", [None, *Outcome])

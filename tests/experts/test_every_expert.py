@@ -108,24 +108,6 @@ def test_what_is_hidden_changes_nothing_until_it_is_felt(
         assert one.phases[felt_alike] in (Phase.TRY, Phase.UNLOCK, Phase.OPEN), "moving a part is what tells"
 
 
-@every_category
-@fast
-@given(st.data(), seeds, seeds)
-def test_an_expert_that_is_told_a_history_repeats_it_byte_for_byte(
-    category: str, data: st.DataObject, draw: int, seed: int
-) -> None:
-    name = data.draw(object_names(category))
-    world = KinematicWorld(name, draw=draw)
-    episode = run(world, adaptive(world, seed))
-    again = adaptive(KinematicWorld(name, draw=draw + 1), seed)
-    goals = [next(again)]
-    for feedback in episode.felt[:-1]:
-        goals.append(again.send(feedback))
-    assert as_bytes(goals) == as_bytes(episode.goals)
-    with pytest.raises(StopIteration):
-        again.send(episode.felt[-1])
-
-
 felt_things = st.lists(
     st.tuples(st.sampled_from(list(Outcome)), st.floats(0, 1), st.floats(-1, 1), st.floats(-1.5, 1.5)), max_size=60
 )

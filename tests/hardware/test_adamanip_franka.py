@@ -26,7 +26,6 @@ from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import Ada
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process import server
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.closing import close_all
 from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
@@ -420,11 +419,3 @@ def test_an_arm_that_fails_while_it_connects_is_closed(monkeypatch: pytest.Monke
     monkeypatch.setattr(server.pkgutil, "resolve_name", lambda _: lambda *_: Served(backend))
     assert server.main(0, 0, "module:factory") == 1
     assert closed == ["arm missing"]
-
-
-def test_every_resource_is_closed_and_the_first_error_is_raised(caplog: pytest.LogCaptureFixture) -> None:
-    resources = [Resource(name) for name in ("a", "b fails", "c fails", "d")]
-    with caplog.at_level(logging.WARNING), pytest.raises(OSError, match="b fails"):
-        close_all([resource.disconnect for resource in resources])
-    assert closed == ["a", "b fails", "c fails", "d"]
-    assert "c fails" in caplog.text

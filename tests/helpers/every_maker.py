@@ -1,8 +1,8 @@
-"""A tiny dataset of every command that makes one, without a simulator. Made once, not to be written to."""
+"""A tiny dataset of every command that makes one, without a simulator. Not to be written to."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,66 +25,63 @@ POLICY = "0123456789abcdef" * 2
 TICKS_ALONE, RECORDING, ROLLOUT = "lerobot-record without a camera", "lerobot-record", "lerobot-rollout"
 DENSE = (TICKS_ALONE, RECORDING, ROLLOUT)
 """Recordings of ticks, not of key frames. The twin's have the columns of `lerobot-record`."""
+OPTIONS = ConvertOptions(rows=RowOptions(num_points=POINTS))
 
 
-def make_every_dataset(folder: Path) -> Mapping[str, Path]:
-    """Returns what made a dataset -> its folder."""
-    made = {**_collected(folder), **_recorded(folder)}
-    pictured, bare, other = made["collect"], made["collect --no-images"], made["collect, other seed"]
-    made["render"] = folder / "rendered"
-    add_pictures(bare, made["render"], make_sound_env)
-    rows = ConvertOptions(rows=RowOptions(num_points=POINTS))
-    for name, sources in (
-        ("keyframes", [made[RECORDING]]),
-        ("keyframes of a roll-out", [made[ROLLOUT]]),
-        ("keyframes, mixed with collect", [made[RECORDING], pictured]),
-    ):
-        made[name] = folder / name.replace(" ", "-").replace(",", "")
-        convert(sources, made[name], rows)
-    made.update(
-        {
-            "merge": run("merge", pictured, other, "--out", folder / "merged"),
-            "merge of corrections": run("merge", bare, made["collect --policy"], "--out", folder / "with-corrections"),
-            "filter": run("filter", pictured, "--where", "failed_tries>=1", "--out", folder / "filtered"),
-            "filter of a mix": run(
-                "filter", made["keyframes, mixed with collect"], "--where", "success=true", "--out", folder / "success"
+class EveryDataset(dict[str, Path]):
+    """What makes a dataset -> its folder. Each is made when it is first asked for."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder = folder
+        mix = "keyframes, mixed with collect"
+        self.makers: dict[str, Callable[[Path], object]] = {
+            "collect": lambda out: collect_sound(out, keep_failed=True, episodes_per_object=4),
+            "collect, other seed": lambda out: collect_sound(out, seed=1000),
+            "collect --no-images": lambda out: collect_sound(out, observe_images=False),
+            "collect of several categories": lambda out: collect_sound(
+                out, objects=("safe_000", "door_001"), episodes_per_object=2
             ),
-            "split": run("split", other, "--parts", "train=0.5,test=0.5", "--out", folder / "parts") / "train",
+            "collect --policy": _corrected,
+            "render": lambda out: add_pictures(self["collect --no-images"], out, make_sound_env),
+            RECORDING: lambda out: write_recording(out, dense_episode(seed=1), dense_episode(seed=2, opens=False)),
+            ROLLOUT: lambda out: write_recording(out, _taken_over(3), _taken_over(4)),
+            TICKS_ALONE: _ticks_alone,
+            "keyframes": lambda out: convert([self[RECORDING]], out, OPTIONS),
+            "keyframes of a roll-out": lambda out: convert([self[ROLLOUT]], out, OPTIONS),
+            mix: lambda out: convert([self[RECORDING], self["collect"]], out, OPTIONS),
+            "merge": lambda out: run("merge", self["collect"], self["collect, other seed"], "--out", out),
+            "merge of corrections": lambda out: run(
+                "merge", self["collect --no-images"], self["collect --policy"], "--out", out
+            ),
+            "filter": lambda out: run("filter", self["collect"], "--where", "failed_tries>=1", "--out", out),
+            "filter of a mix": lambda out: run("filter", self[mix], "--where", "success=true", "--out", out),
         }
-    )
-    return made
+
+    def __missing__(self, name: str) -> Path:
+        out = self.folder / "".join(letter if letter.isalnum() else "-" for letter in name)
+        if name == "collect --keep-failed":
+            self[name] = self["collect"].with_name(f"{self['collect'].name}-failed")
+        elif name == "split":
+            run("split", self["collect, other seed"], "--parts", "train=0.5,test=0.5", "--out", out)
+            self[name] = out / "train"
+        else:
+            self.makers[name](out)
+            self[name] = out
+        return self[name]
 
 
-def run(command: str, *words: object) -> Path:
-    """Runs an `adamanip` command that has to succeed; returns its last word, a folder."""
+def run(command: str, *words: object) -> None:
+    """Runs an `adamanip` command that has to succeed."""
     assert main([command, *map(str, words)]) == 0
-    return Path(str(words[-1]))
 
 
-def _collected(folder: Path) -> dict[str, Path]:
-    categories = {"objects": ("safe_000", "door_001"), "episodes_per_object": 2}
-    corrected = make_spec(
+def _corrected(out: Path) -> None:
+    spec = make_spec(
         num_points=POINTS, image_size=PIXELS, policy=POLICY, expert_share=0.4, observe_images=False, seed=5000
     )
-    made = {
-        "collect": collect_sound(folder / "collected", keep_failed=True, episodes_per_object=4),
-        "collect, other seed": collect_sound(folder / "other", seed=1000),
-        "collect --no-images": collect_sound(folder / "bare", observe_images=False),
-        "collect of several categories": collect_sound(folder / "categories", **categories),
-        "collect --policy": folder / "corrected",
-    }
     factories = Factories(make_sound_env, demos_fake_env.make_expert, demos_fake_env.FakeActor)
-    collect(made["collect --policy"], corrected, factories, patiently())
-    return {**made, "collect --keep-failed": folder / "collected-failed"}
-
-
-def _recorded(folder: Path) -> dict[str, Path]:
-    recording = write_recording(folder / "recording", dense_episode(seed=1), dense_episode(seed=2, opens=False))
-    return {
-        RECORDING: recording,
-        ROLLOUT: write_recording(folder / "rollout", _taken_over(3), _taken_over(4)),
-        TICKS_ALONE: _ticks_alone(folder / "ticks"),
-    }
+    collect(out, spec, factories, patiently())
 
 
 def _taken_over(seed: int) -> DenseEpisode:
@@ -94,7 +91,7 @@ def _taken_over(seed: int) -> DenseEpisode:
     return replace(episode, corrected=np.arange(len(episode)) >= begin)
 
 
-def _ticks_alone(root: Path) -> Path:
+def _ticks_alone(root: Path) -> None:
     """As `lerobot-record` writes it without a camera."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
@@ -106,4 +103,3 @@ def _ticks_alone(root: Path) -> Path:
             dataset.add_frame({STATE: row, ACTION: asked, "task": episode.task})
         dataset.save_episode()
     dataset.finalize()
-    return root

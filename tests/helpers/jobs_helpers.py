@@ -48,7 +48,7 @@ def _do(what: str, beat: Heartbeat) -> None:
     if what == "short":
         time.sleep(1.2)
     if what == "slow":
-        for _ in range(60):
+        for _ in range(30):
             time.sleep(0.1)
             beat()
     if what == "refuse":

@@ -23,7 +23,6 @@ def test_the_environments_go_to_hf_endpoint(run: Any, hub: LoopbackHub) -> None:
     assert told["commit"] == hub.repositories["models", "someone/env"].tags["release-1"]
     assert told["bytes"] == sum(map(len, remote.values()))
     assert f"was there already: {len(CATEGORIES) + 3} files" in run(*options[:-1]).stdout
-    assert json.loads(run(*options).stdout) == {**told, "changed": False}
 
 
 def test_a_dry_run_lists_and_sends_nothing(published: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -86,7 +86,10 @@ def is_readable(root: Path) -> bool:
         return False
 
 
-@pytest.mark.parametrize("order", ORDERS, ids=["plugin first", "plugin last"])
+@pytest.mark.parametrize(
+    "order",
+    [pytest.param(ORDERS[0], id="plugin first", marks=pytest.mark.nightly), pytest.param(ORDERS[1], id="plugin last")],
+)
 def test_a_robot_is_recorded_durably_in_any_order_of_imports(order: tuple[str, ...]) -> None:
     """Importing alone changes nothing."""
     environment = {key: value for key, value in os.environ.items() if key != NO_PATCHES}

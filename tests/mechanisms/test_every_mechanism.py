@@ -146,11 +146,6 @@ def test_an_object_s_mechanism_has_its_joints_and_can_be_solved(category: str, p
             assert upper - 1e-9 <= obj.joint(joint).limits[1]
 
 
-def test_an_unknown_preset_is_refused_with_those_there_are() -> None:
-    with pytest.raises(ConfigurationError, match=r"(?s)paper.*upstream"):
-        make_mechanism(make_object("lamp_000"), "author")
-
-
 DIRECTED = [
     name for name in CATEGORIES if "direction" in make_mechanism(make_object(seen_objects(name)[0])).hidden_names
 ]

@@ -7,7 +7,7 @@ import pytest
 from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, make_mechanism
-from lerobot_adamanip.mechanisms.unchanged_rules import changed_categories, unchanged_rules
+from lerobot_adamanip.mechanisms.unchanged_rules import changed_categories
 
 
 @pytest.mark.parametrize("rules", MECHANISM_RULES)
@@ -18,12 +18,3 @@ def test_changed_categories_are_those_with_another_mechanism(rules: str) -> None
         each.category for each in objects if vars(make_mechanism(each, rules)) != vars(make_mechanism(each, default))
     ]
     assert set(changed_categories(rules)) == set(changed)
-
-
-def test_the_line_names_both() -> None:
-    assert unchanged_rules(["safe", "coffee_maker"], "paper") is None
-    assert unchanged_rules(["coffee_maker"], "hard") is None
-    line = unchanged_rules(["safe", "coffee_maker", "safe"], "hard")
-    assert (
-        line == "The mechanism rules hard are the paper rules for safe. They change pressure_cooker, coffee_maker only."
-    )

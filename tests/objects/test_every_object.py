@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 from dataclasses import dataclass
 from typing import Any
@@ -123,21 +124,24 @@ KINDS = {
 every_category = pytest.mark.parametrize("category", CATEGORIES)
 
 
+object_of = functools.cache(make_object)
+
+
 def objects(category: str, *, novel: bool = True, step: int = 1) -> list[ArticulatedObject]:
     names = [*seen_objects(category), *unseen_objects(category, 8)][::step]
-    return [make_object(name) for name in (*names, *(novel_objects(category, 8)[::step] if novel else ()))]
+    return [object_of(name) for name in (*names, *(novel_objects(category, 8)[::step] if novel else ()))]
 
 
 @every_category
 def test_objects_stay_what_they_are(category: str) -> None:
     names = (*seen_objects(category), *unseen_objects(category), *novel_objects(category))
-    together = hashlib.sha256("".join(digest(make_object(name)) for name in names).encode())
+    together = hashlib.sha256("".join(digest(object_of(name)) for name in names).encode())
     assert together.hexdigest()[:16] == KINDS[category].digest
 
 
 @every_category
 def test_objects_differ_in_size_and_the_seen_ones_show_what_there_is(category: str) -> None:
-    everything, seen = objects(category), [make_object(name).description for name in seen_objects(category)]
+    everything, seen = objects(category), [object_of(name).description for name in seen_objects(category)]
     assert len({digest(obj) for obj in everything}) == len(everything)
     assert len({tuple(np.round(obj.size, 4)) for obj in everything}) == len(everything), "not in colour alone"
     for word in KINDS[category].words.split(", "):
@@ -152,10 +156,10 @@ def test_a_novel_object_is_of_a_kind_that_no_seen_one_is_and_has_the_same_joints
         told = {word for word in obj.description.split(", ") if not word.startswith("bars")}
         return told - shared
 
-    like = make_object(seen_objects(category)[0])
-    seen = set().union(*(words(make_object(name)) for name in seen_objects(category)))
+    like = object_of(seen_objects(category)[0])
+    seen = set().union(*(words(object_of(name)) for name in seen_objects(category)))
     for name in novel_objects(category):
-        obj = make_object(name)
+        obj = object_of(name)
         assert (obj.object_id, object_split(name)) == (name, "novel")
         assert words(obj)
         assert not words(obj) & seen, name

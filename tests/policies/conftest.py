@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import ast
+import copy
+import functools
+import gc
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +36,14 @@ DP3_TINY: dict[str, dict[str, Any]] = {
 """Tiny options of each preset of ``dp3_adaptive``."""
 
 
+@pytest.fixture(scope="module", autouse=True)
+def _few_objects() -> Iterator[None]:
+    """A policy looks for its dataset among the objects of the process: here not among all that was imported."""
+    gc.freeze()
+    yield
+    gc.unfreeze()
+
+
 @pytest.fixture(scope="session")
 def toy_root(once: Callable[[str, Callable[[Path], object]], Path]) -> Path:
     """Static demonstrations at a few bottles, turned and lifted. Not to be written to."""
@@ -51,9 +63,7 @@ def toy_worlds() -> list[Any]:
 def build_policy(
     policy_type: str, root: Path, episodes: list[int] | None = None, **changes: Any
 ) -> tuple[Any, Any, Any, Any]:
-    from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
     from lerobot.datasets.factory import resolve_delta_timestamps
-    from lerobot.datasets.lerobot_dataset import LeRobotDataset
     from lerobot.policies.factory import make_policy, make_policy_config, make_pre_post_processors
 
     import lerobot_policy_adamanip  # noqa: F401  (registers them)
@@ -61,14 +71,24 @@ def build_policy(
     preset = {"preset": "dp3", **changes} if policy_type == "dp3_adaptive" else changes
     sizes = DP3_TINY[preset["preset"]] if policy_type == "dp3_adaptive" else TINY
     config = make_policy_config(policy_type, **{**sizes, **preset})
-    stamps = resolve_delta_timestamps(config, LeRobotDatasetMetadata(REPO_ID, root=root))
-    dataset = LeRobotDataset(REPO_ID, root=root, episodes=episodes, delta_timestamps=stamps)
+    stamps = resolve_delta_timestamps(config, _opened(root).meta)
+    dataset = copy.copy(_opened(root, episodes and tuple(episodes), repr(stamps)))
+    dataset.meta = copy.copy(dataset.meta)
+    dataset.meta.stats = copy.deepcopy(dataset.meta.stats)
     policy = make_policy(config, ds_meta=dataset.meta)
     before, after = make_pre_post_processors(config, dataset_stats=dataset.meta.stats)
     return policy, before, after, dataset
 
 
-@pytest.fixture
+@functools.cache
+def _opened(root: Path, episodes: tuple[int, ...] | None = None, stamps: str = "None") -> Any:
+    from lerobot.datasets.lerobot_dataset import LeRobotDataset
+
+    chosen = None if episodes is None else list(episodes)
+    return LeRobotDataset(REPO_ID, root=root, episodes=chosen, delta_timestamps=ast.literal_eval(stamps))
+
+
+@pytest.fixture(scope="session")
 def make_toy_policy(toy_root: Path) -> Callable[..., tuple[Any, ...]]:
     """Builds (policy, preprocessor, postprocessor, dataset) through LeRobot's factories; what is given wins."""
     return lambda policy_type, root=toy_root, **changes: build_policy(policy_type, root, **changes)
@@ -86,7 +106,7 @@ def make_anchors(make_tiny: Callable[..., tuple[Any, ...]]) -> Callable[..., tup
     return lambda **changes: make_tiny(preset="fast", **changes)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def batch_of() -> Callable[..., dict[str, Any]]:
     """Collates items of a dataset, all of them if none are named, and preprocesses them: what `forward` is given."""
 

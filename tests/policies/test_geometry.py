@@ -13,7 +13,6 @@ from lerobot_policy_adamanip.common.geometry import (
     absolute_poses,
     angle_between,
     constant,
-    matrix_from_6d,
     matrix_from_rotation_vector,
     mirrored_motions,
     mirrored_poses,
@@ -170,9 +169,3 @@ def test_the_angle_between_rotations_is_the_turn_between_them() -> None:
         np.testing.assert_allclose(found.detach(), np.full(10, angle), atol=2e-3)
         (gradient,) = torch.autograd.grad(found.sum(), one)
         assert torch.isfinite(gradient).all()
-
-
-def test_rotation_6d_is_a_matrix_again() -> None:
-    matrices = Rotation.random(50, random_state=1).as_matrix()
-    six = torch.from_numpy(rotation_6d_from_matrix(matrices))
-    np.testing.assert_allclose(matrix_from_6d(six).numpy(), matrices, atol=1e-12)

@@ -15,8 +15,8 @@ from lerobot_policy_adamanip.common import threads
 from lerobot_policy_adamanip.common.config import FusedAdamWConfig
 
 SAME_WITHOUT_SPINNING = """
-import hashlib, os, torch
-from lerobot_policy_adamanip.common.threads import stop_spinning
+import hashlib, os, runpy, sys, torch
+stop_spinning = runpy.run_path(sys.argv[1])["stop_spinning"]
 torch.set_num_threads(2)
 values = torch.rand(2048, 512, generator=torch.Generator().manual_seed(0))
 def result():
@@ -60,7 +60,9 @@ def test_threads_spin_until_programs_wait_for_a_core(step: list[int], monkeypatc
 
 def test_without_spinning_results_are_the_same_bits() -> None:
     environment = {name: value for name, value in os.environ.items() if name not in threads.WAITING}
-    subprocess.run([sys.executable, "-c", SAME_WITHOUT_SPINNING], check=True, env=environment, timeout=120)
+    subprocess.run(
+        [sys.executable, "-c", SAME_WITHOUT_SPINNING, threads.__file__], check=True, env=environment, timeout=120
+    )
 
 
 @pytest.mark.parametrize(

@@ -94,7 +94,7 @@ def test_it_learns_from_what_was_felt(make: MakePolicy, batch_of: Any) -> None:
     labels = policy.labels
     told_something = torch.nonzero((labels.history[:, 0] >= 0) & (labels.candidates[:, 0] >= 0)).flatten().tolist()
     batch = batch_of(dataset, before, *told_something)
-    losses = trained(policy, batch, 150)
+    losses = trained(policy, batch, 90)
     assert np.mean(losses[-10:]) < 0.6 * np.mean(losses[:5])
     with torch.no_grad():
         cloud, _ = policy.observed(batch)

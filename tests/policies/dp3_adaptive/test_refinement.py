@@ -45,7 +45,7 @@ def test_fingers_are_turned_across_a_bar_whichever_way_they_were_shown() -> None
     draw = np.random.default_rng(0)
     side, along = np.meshgrid(np.linspace(-0.006, 0.006, 3), np.linspace(-0.05, 0.05, 16))
     bar = np.c_[along.ravel(), side.ravel(), np.zeros(48)]
-    bars = taught([scenes(bar, draw, swapped=True) for _ in range(8)], steps=600)
+    bars = taught([scenes(bar, draw, swapped=True) for _ in range(8)], steps=450)
     cloud, goal = scenes(bar, draw, swapped=True)
     twist = torch.zeros(16, 7)
     twist[:, 5] = torch.linspace(-np.pi / 2, np.pi / 2, 16)

@@ -45,9 +45,9 @@ def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, b
     assert torch.equal(losses[0][1], losses[1][1])
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
-def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
-    policy, before, _, dataset = make_tiny(preset=preset)
+def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:
+    """The others: tests/policies/dp3_adaptive/test_heads.py."""
+    policy, before, _, dataset = make_tiny(preset="diffusion")
     batch = batch_of(dataset, before, 0, 5)
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
 
@@ -148,26 +148,12 @@ def test_a_policy_trains_and_acts_in_half_precision(
     assert torch.isfinite(action).all()
 
 
-@pytest.mark.parametrize("preset", ["fast", "dp3"])
-def test_a_policy_with_an_average_refuses_adapters(make_tiny: MakeTiny, preset: str) -> None:
-    policy, *_ = make_tiny(preset=preset)
+def test_a_policy_with_an_average_refuses_adapters(make_tiny: MakeTiny) -> None:
+    policy, *_ = make_tiny()
     policy.config.pretrained_path = "checkpoint"
     for hook in (policy._get_default_peft_targets, lambda: policy._validate_peft_config(object())):
         with pytest.raises(ConfigurationError, match=r"(?s)cannot be trained with PEFT.*without --peft"):
             hook()
-
-
-@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
-def test_the_last_row_of_an_episode_has_no_label(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
-    policy, before, _, dataset = make_tiny(preset=preset)
-    policy.eval()
-    end = next(row for row in range(len(dataset)) if dataset[row][schema.DONE])
-    each, _ = policy.forward(batch_of(dataset, before, end, 3), reduction="none")
-    assert each[0] == 0
-    assert each[1] > 0
-    _, _, is_label = policy.training_window(batch_of(dataset, before, end - 2, end + 2))
-    assert is_label[0].tolist() == ([True, True] + [False] * 2)[: policy.config.horizon]
-    assert is_label[1].all()
 
 
 def test_the_files_say_where_episodes_end(tmp_path: Path) -> None:

@@ -120,8 +120,7 @@ def test_what_was_tried_and_felt_changes_no_draw(make: MakePolicy) -> None:
         assert torch.equal(policy.select_action(seen)[0], alone[0])
 
 
-@pytest.mark.parametrize("budget", [1, 4, 12])
-def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, budget: int) -> None:
+def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy) -> None:
     """A part that one of M motions opens: each draw does with 1 in M + 1, and as often costs five key frames instead.
 
     ``P(n) = 1 / (M + 1) + (M - 1) / (M + 1) P(n - 1) + 1 / (M + 1) P(n - 5)``; ``P(n) = 0`` with no key frames left.
@@ -130,7 +129,7 @@ def test_success_within_a_budget_is_that_of_independent_draws(make: MakePolicy, 
     policy.eval()
     cloud, pose = policy.observed(seen_by(0.3))
     policy.model.draw_grasps = lambda cloud: pose * torch.cat([torch.ones(9), torch.zeros(1)]) + torch.eye(10)[9]
-    episodes, motions = 300, len(policy.model.motions)
+    episodes, budget, motions = 300, 12, len(policy.model.motions)
     opening = pose_after(policy.model.motions[2:3], pose)
     batch = {schema.POINT_CLOUD: cloud.expand(episodes, -1, -1), schema.STATE: pose.expand(episodes, -1)}
     opened = torch.zeros(episodes, dtype=torch.bool)
