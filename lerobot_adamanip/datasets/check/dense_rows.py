@@ -32,11 +32,11 @@ def check_dense_values(
     for key, (lowest, highest) in _limits(features).items():
         if key in columns and columns[key].shape[1:] == lowest.shape:
             values = columns[key].astype(np.float64)
-            beyond = ((values < lowest - MARGIN) | (values > highest + MARGIN)).any(axis=1)
+            beyond = np.asarray(((values < lowest - MARGIN) | (values > highest + MARGIN)).any(axis=1))
             kind = kind_of(features, key if key == schema.STATE else schema.ACTION)
             report.add_rows("limits", f"{key} is outside the limits of {kind}", where, beyond)
     if schema.TRIED in columns and schema.DIRECTION in columns:
-        wrong = np.asarray((columns[schema.TRIED] >= 0) != (columns[schema.DIRECTION] != 0))
+        wrong = (columns[schema.TRIED] >= 0) != (columns[schema.DIRECTION] != 0)
         report.add_rows("label", f"{schema.DIRECTION} and {schema.TRIED} contradict each other", where, wrong)
 
 
