@@ -86,11 +86,11 @@ class CollectCommand:
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
     image_size: int | None = None
-    """Side length of the front image [px], e.g. 256, the default. With this option, a machine that cannot render fails
-    at once; without it, such a machine records no pictures."""
+    """Side length of the pictures [px], e.g. 256, the default. With the source render, this option makes a machine that
+    cannot render fail at once; without it, such a machine records no pictures."""
 
     no_images: bool = False
-    """Record no pictures. Needs no Vulkan device; `adamanip render` adds them later."""
+    """Record no pictures; `adamanip render` adds them later."""
 
     cloud_source: Literal["raycast", "render"] = "raycast"
     """Source of point clouds. raycast: ray casting. render: the renderer, ten times slower, with equal clouds."""

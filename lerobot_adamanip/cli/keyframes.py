@@ -1,4 +1,4 @@
-"""`adamanip keyframes`: converts dense robot recordings to demonstrations."""
+"""`adamanip keyframes`: converts recordings and simulated datasets at control rate to demonstrations in key frames."""
 
 from __future__ import annotations
 
@@ -20,10 +20,13 @@ _STAGES = {"convert": "episodes read", "assemble": "episodes written", "merge": 
 
 @dataclass
 class KeyframesCommand:
-    """Writes the key frames of dense recordings as a dataset that policies train on.
+    """Writes the key frames of recordings, or of a simulated dataset at control rate, as a dataset of its own.
 
     A recording is a dataset that `lerobot-record` wrote with one of our robots. You may add datasets of key frames,
     e.g. from `adamanip collect`. Their episodes follow those of the recordings unchanged.
+
+    A simulated dataset needs `adamanip collect DIR --control dense --cloud --effort --state full`, and is converted
+    alone. Its rows name their key frames, so only --images and --repo-id apply.
     """
 
     sources: DatasetFolders
@@ -96,6 +99,10 @@ class KeyframesCommand:
 
     def run(self) -> int:
         """Converts recordings. Returns 0 for a complete dataset."""
+        from lerobot_adamanip.collection.key_frames import dense_collections
+
+        if dense_collections(self.sources):
+            return self._convert_simulated()
         from lerobot_adamanip.recordings.convert import convert
 
         with show_progress(_STAGES) as progress:
@@ -105,4 +112,16 @@ class KeyframesCommand:
         skipped = [f"skipped, nothing moves in it: {name}" for name in result.skipped]
         text = "\n".join([f"{counts}{mixed}, in {self.out}", *skipped])
         print_result(self.json, {"out": self.out, **asdict(result)}, text)
+        return 0
+
+    def _convert_simulated(self) -> int:
+        from lerobot_adamanip.collection.key_frames import require_one_source, write_key_frames
+
+        source = require_one_source(self.sources)
+        with show_progress(_STAGES) as progress:
+            episodes, key_frames = write_key_frames(
+                source, self.out, images=self.images, repo_id=self.repo_id, progress=progress
+            )
+        text = f"{episodes} episodes, {key_frames} key frames, in {self.out}"
+        print_result(self.json, {"out": self.out, "episodes": episodes, "key_frames": key_frames}, text)
         return 0

@@ -13,8 +13,9 @@ from lerobot_adamanip.cli.progress import show_progress
 class RenderCommand:
     """Writes a copy of a dataset and adds the images that `adamanip collect --no-images` skipped.
 
-    Creates scenes from their seeds and sets the recorded joint positions, without physics. Needs a Vulkan device. After
-    an interruption the same command resumes.
+    Creates scenes from their seeds and sets the recorded joint positions, without physics. Takes cameras and source of
+    pictures from the collection; the source render needs a Vulkan device. After an interruption the same command
+    resumes.
     """
 
     root: DatasetFolder

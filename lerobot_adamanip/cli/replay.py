@@ -45,7 +45,7 @@ class ReplayCommand:
         from lerobot_adamanip.collection.replay import replay
         from lerobot_env_adamanip.make_environment import make_environment
 
-        with show_progress({"replay": "key frames"}) as progress:
+        with show_progress({"replay": "replayed"}) as progress:
             advance = functools.partial(progress, "replay")
             result = replay(
                 self.root, self.episode, make_environment, assets=self.assets, video=self.out, progress=advance
@@ -57,7 +57,7 @@ class ReplayCommand:
     def _text(self, result: ReplayResult, agrees: bool) -> str:
         lines = [
             f"episode {result.episode}: {result.object_id}, seed {result.seed}",
-            f"  key frames  {result.replayed} replayed, {result.key_frames} recorded",
+            f"  {result.unit:<10}  {result.replayed} replayed, {result.key_frames} recorded",
             f"  success     {result.success} replayed, {result.recorded_success} recorded",
             *(f"  {name:<24} largest difference {value:.3g}" for name, value in result.differences.items()),
         ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -44,13 +44,17 @@ def _cells(group: GroupStats) -> Iterator[str]:
     yield interval_text(group.success)
 
 
+def _summary(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.4g}" for name, value in values.items())
+
+
 def _lines(stats: DatasetStats) -> Iterator[str]:
     titles = ("", "episodes", "key frames", "tries", "failed", "recovered", "success")
     yield markdown_table(titles, ([group.label, *_cells(values)] for group, values in stats.groups.items()), align=True)
     yield ""
-    lengths = stats.length_summary()
-    summary = ", ".join(f"{name} {value:.4g}" for name, value in lengths.items())
-    yield f"Key frames of an episode: {summary}"
+    yield f"Key frames of an episode: {_summary(stats.length_summary())}"
+    if stats.steps:
+        yield f"Steps of an episode, at {stats.fps} Hz: {_summary(stats.step_summary())}"
     if stats.failures:
         yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in stats.failures.items())}"
     if unlabelled := stats.overall.episodes - stats.overall.labelled:

@@ -14,7 +14,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.collection.record import EnvFactory, Environments, reset_scene
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import image_column
+from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.contract.versions import cpu_model
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
@@ -154,8 +154,9 @@ def _finish(output: OutputFolder, manifest: Manifest, episodes: int) -> None:
 
 def _open(root: Path, assets: str | Path | None) -> tuple[Dataset, Manifest]:
     dataset = Dataset(root)
-    if schema.FRONT_IMAGE in dataset.features or schema.JOINTS not in dataset.features:
-        lacks = "has images already" if schema.FRONT_IMAGE in dataset.features else f"lacks {schema.JOINTS}"
+    pictures = [key for key in dataset.features if is_image_column(key)]
+    if pictures or schema.JOINTS not in dataset.features:
+        lacks = "has images already" if pictures else f"lacks {schema.JOINTS}"
         raise DatasetError(
             "No pictures can be added to this dataset.",
             got=f"{root} {lacks}",

@@ -40,12 +40,13 @@ class ReplayResult:
         episode: index of the episode in the dataset.
         object_id: id of the object.
         seed: seed of the episode.
-        key_frames: number of recorded key frames.
-        replayed: number of key frames until the replay ended.
-        differences: column -> largest absolute difference over all key frames, in units of the column.
+        key_frames: number of recorded key frames, or of steps at control rate.
+        replayed: their number until the replay ended.
+        differences: column -> largest absolute difference over all of them, in units of the column.
         success: whether the replay succeeded.
         recorded_success: whether the recording succeeded.
         changed: names of versions that differ between the recording and this program.
+        unit: ``key frames``, or ``steps`` at control rate.
     """
 
     episode: int
@@ -57,6 +58,7 @@ class ReplayResult:
     success: bool
     recorded_success: bool
     changed: tuple[str, ...] = ()
+    unit: str = "key frames"
 
     def agrees(self, tolerance: float) -> bool:
         """Returns whether the replay matches the recording, up to ``tolerance`` in every column."""
@@ -81,7 +83,7 @@ def replay(
         make_env: builds the environment; it never comes from the dataset.
         assets: folder of external assets, if any were used.
         video: file for a video of recording (left), if it has pictures, and replay (right); None for no video.
-        progress: called with finished and total key frames.
+        progress: called with finished and total actions.
 
     Raises:
         DatasetError: the dataset is missing, incomplete or damaged.
@@ -96,7 +98,7 @@ def replay(
             rows = open_dataset(dataset.root, episodes=[episode], video_backend="pyav", return_uint8=True)
             recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
             pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]
-        write_video(video, pictures, schema.FPS)
+        write_video(video, pictures, dataset.fps)
     return result
 
 
@@ -136,7 +138,8 @@ def _open(root: Path, assets: str | Path | None) -> tuple[Dataset, Manifest]:
     dataset = Dataset(root)
     if not manifest_path(root).exists():
         raise DatasetError(
-            "This dataset has no scene metadata: it was recorded on a robot, or merged from several datasets.",
+            "This dataset has no scene metadata: it was recorded on a robot, merged from several datasets, "
+            "or made by `adamanip keyframes`.",
             got=f"{as_typed(root.absolute())}, without meta/collection.json",
             allowed="a dataset of `adamanip collect`, or a part of one",
             hint=f"one of the merged datasets; or adamanip view {as_typed(root.absolute())} --out episode.png",
@@ -179,6 +182,7 @@ def _replay(
         success=success,
         recorded_success=episode.record["success"],
         changed=differing_parts(manifest.versions, env.software_versions()),
+        unit="steps" if manifest.spec.environment.is_dense else "key frames",
     )
 
 

@@ -15,13 +15,23 @@ from typing import Any
 from lerobot_adamanip.assets import is_asset_id
 from lerobot_adamanip.catalog import category_of, select_objects
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import is_image_column
+from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.contract.categories import ALL
+from lerobot_adamanip.contract.control import (
+    ACTION_NAMES,
+    DELTA_POSITION,
+    DELTA_ROTATION,
+    EE_DELTA,
+    EE_POSE,
+    JOINT,
+    STATES,
+)
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
-from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, CollectionSpec, manifest_path
+from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, OF_PICTURES, CollectionSpec, manifest_path
 from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.dense import is_dense_collection, kind_of
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.selection import selection_path
@@ -31,7 +41,15 @@ from lerobot_adamanip.util.json_fields import parse
 
 LICENSE = "apache-2.0"
 TAGS = ("LeRobot", "lerobot_env_adamanip", "adamanip", "point-cloud", "articulated-objects", "simulation")
-TEMPLATES = ("dataset_card.md", "recorded_card.md", "model_card.md", "environment_card.md", "citation.md", "env.py")
+TEMPLATES = (
+    "dataset_card.md",
+    "dense_card.md",
+    "recorded_card.md",
+    "model_card.md",
+    "environment_card.md",
+    "citation.md",
+    "env.py",
+)
 COLUMNS = {
     schema.POINT_CLOUD: "m; x, y, z of each point, farthest first, so any prefix is itself a farthest-point sample",
     schema.STATE: "tool position, rotation 6D, gripper opening, 7 joint positions [rad], 7 joint velocities [rad/s]",
@@ -50,6 +68,26 @@ COLUMNS = {
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
 """Column -> meaning."""
+DENSE_COLUMNS = {
+    **COLUMNS,
+    schema.STATE: "see above",
+    schema.ACTION: "see above; row t's action is sent after row t's observation",
+    schema.OUTCOME: "of the key frame, in its last row: 0 reached, 1 stalled, 2 time limit, 3 unreachable; else -1",
+    schema.TRIED: "joint of the try that goes on: 0 the one that opens, 1 and up the others, -1 none",
+    schema.DIRECTION: "sign of that try; 0 without one",
+    schema.FAILED: "whether that try fails: the joint will not have moved by its end",
+    schema.PROGRESS: "how far that joint moved in this row, in the direction of the try [rad or m]",
+    schema.EXECUTED: "what the arm was sent: equal to `action`",
+    schema.KEY_FRAME: "the expert's key frame: position [m], rotation 6D, gripper (0 closed, 1 open)",
+}
+"""Column of a dataset at control rate -> meaning."""
+ACTION_MEANINGS = {
+    EE_DELTA: f"Action `{EE_DELTA}`: translation in units of {DELTA_POSITION:g} m and rotation vector in units of "
+    f"{DELTA_ROTATION:g} rad from the measured tool pose, along the base's axes, "
+    "within -1 ... 1; gripper -1 closed, 1 open.",
+    EE_POSE: f"Action `{EE_POSE}`: the tool's pose: position [m], rotation 6D, gripper (0 closed, 1 open).",
+    JOINT: f"Action `{JOINT}`: positions of the arm's joints [rad], gripper (0 closed, 1 open).",
+}
 _SIZES = (
     (1_000, "n<1K"), (10_000, "1K<n<10K"), (100_000, "10K<n<100K"), (1_000_000, "100K<n<1M"), (10_000_000, "1M<n<10M"),
     (100_000_000, "10M<n<100M"), (1_000_000_000, "100M<n<1B"),
@@ -136,19 +174,46 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
         DatasetError: the manifest or the list of attempts is damaged, or episodes do not say how they were made.
     """
     dataset = Dataset(folder)
+    is_dense = is_dense_collection(dataset.features)
     fields = _common_fields(dataset, name, repo_id)
     if any(episode.row.get("recorded") is not None for episode in dataset.episodes):
         return card_template("recorded_card.md").substitute(fields, **_sources(dataset))
     manifest = dataset.manifest(assets) if manifest_path(folder).exists() else None
     episodes = dataset.descriptions()
-    return card_template("dataset_card.md").substitute(
-        fields,
+    return card_template("dense_card.md" if is_dense else "dataset_card.md").substitute(
+        {**fields, **(_dense_fields(dataset) if is_dense else {})},
         **_counts(episodes),
         **_attempts(dataset, manifest, episodes),
         **_scene(dataset, episodes),
         **_origin(dataset, manifest, episodes, name.removesuffix("-failed")),
         root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
     )
+
+
+def _dense_fields(dataset: Dataset) -> dict[str, object]:
+    """Returns the fields of a dataset at control rate: kinds of action and state, cameras, and a policy's options."""
+    action, state = (kind_of(dataset.features, key) for key in (schema.ACTION, schema.STATE))
+    cameras = [name for name in CAMERAS if image_column(name) in dataset.features]
+    has_cloud = schema.POINT_CLOUD in dataset.features
+    options = {"control": "dense", "fps": dataset.fps, "action": action, "state": state}
+    size = ""
+    if cameras:
+        height, width = dataset.features[image_column(cameras[0])]["shape"][:2]
+        size = f", {width} x {height} pixels"
+        options["image_size"] = height
+        options |= {} if cameras == list(CAMERAS) else {"cameras": f"'[{','.join(cameras)}]'"}
+    options |= {"observe_cloud": "true"} if has_cloud else {}
+    options |= {"observe_effort": "true"} if schema.EFFORT in dataset.features else {}
+    return {
+        "action": action,
+        "state": state,
+        "action_names": ", ".join(ACTION_NAMES[action]),
+        "state_names": ", ".join(STATES[state]),
+        "action_meaning": ACTION_MEANINGS[action],
+        "cameras": ", ".join(f"`{name}`" for name in cameras) + size if cameras else "none",
+        "policy": "act" if cameras or not has_cloud else "dp3_adaptive",
+        "env_options": " ".join(f"--env.{name}={value}" for name, value in options.items()),
+    }
 
 
 def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, object]:
@@ -164,7 +229,8 @@ def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, objec
     lines = []
     for key, feature in dataset.features.items():
         if key not in OF_LEROBOT:
-            meaning = COLUMNS.get(schema.FRONT_IMAGE if is_image_column(key) else key, "")
+            meanings = DENSE_COLUMNS if is_dense_collection(dataset.features) else COLUMNS
+            meaning = meanings.get(schema.FRONT_IMAGE if is_image_column(key) else key, "")
             kind = "video, " if feature["dtype"] == "video" else ""
             lines.append(f"| `{key}` | {kind}{tuple(feature['shape'])} | {meaning} |")
     return {
@@ -228,9 +294,10 @@ def _origin(
 
 def _scene(dataset: Dataset, episodes: Sequence[EpisodeDescription]) -> dict[str, object]:
     pictures = "There are no pictures (`adamanip render` adds them)"
-    if picture := dataset.features.get(schema.FRONT_IMAGE):
-        height, width = picture["shape"][:2]
-        pictures = f"Pictures (`{schema.FRONT_IMAGE}`) have {width} x {height} pixels, RGB"
+    if columns := [key for key in dataset.features if is_image_column(key)]:
+        height, width = dataset.features[columns[0]]["shape"][:2]
+        names = ", ".join(f"`{key}`" for key in columns)
+        pictures = f"Pictures ({names}) have {width} x {height} pixels, RGB"
     poses = {json.dumps(each.camera.get("extrinsics", each.camera), sort_keys=True) for each in episodes}
     moves = "its pose is drawn anew for each episode" if len(poses) > 1 else "its pose is the same in all episodes"
     external = any(is_asset_id(episode.object_id) for episode in episodes)
@@ -294,6 +361,12 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     values: dict[str, Any] = {"category": spec.category, "objects": _objects(spec)}
     values |= {item.name: getattr(spec, item.name) for item in dataclasses.fields(spec) if item.name not in values}
     values |= {name: getattr(environment, name) for name in MANIFEST_FIELDS if name not in PYTHON_ONLY}
+    values |= {name: getattr(environment, name) for name in OF_PICTURES}
+    if environment.is_dense:
+        values |= {name: getattr(environment, name) for name in ("control", "fps", "action", "state")}
+        values |= {"cloud": environment.observe_cloud, "effort": environment.observe_effort}
+    if values["cameras"] is not None:
+        values["cameras"] = " ".join(values["cameras"])
     values |= {"environment": None, "assets": None if environment.assets is None else "ASSETS"}
     images = values.pop("observe_images")
     values |= {"policy": "POLICY"} if spec.policy else {"policy": None, "expert_share": None}
@@ -302,7 +375,7 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     words += [] if images else ["--no-images"]  # --image-size requires images
     line = " ".join([f"adamanip collect {folder}", *words])
     comments = [f"# policy {spec.policy}"] if spec.policy else []
-    for name in PYTHON_ONLY:
+    for name in (*PYTHON_ONLY, "max_steps"):
         if (value := getattr(environment, name)) != getattr(EnvironmentOptions(), name):
             plain = dict(value) if name == "hidden_overrides" else value
             comments.append(f"# and {name}={plain}, which has no option: EnvironmentOptions in Python")

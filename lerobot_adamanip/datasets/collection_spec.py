@@ -61,7 +61,8 @@ class CollectionSpec:
 
     Attributes:
         environment: options of the environments; its ``category`` is that of the first object. ``observe_images=None``
-            counts as False, because a specification must not depend on the machine.
+            counts as False, because a specification must not depend on the machine. In dense control, cameras and
+            source of pictures are the chosen ones or the defaults, so that a specification names them.
         objects: ids of one or more categories, in the order of the dataset.
         expert: ``adaptive`` or ``static``.
         expert_strategy: see `lerobot_adamanip.experts.EXPERT_STRATEGIES`.
@@ -90,6 +91,9 @@ class CollectionSpec:
     def __post_init__(self) -> None:
         if self.environment.observe_images is None:
             object.__setattr__(self, "environment", self.environment.changed(observe_images=False))
+        if self.environment.is_dense:
+            chosen = {"cameras": self.environment.observed_cameras, "image_source": self.environment.images_from}
+            object.__setattr__(self, "environment", self.environment.changed(**chosen))
         require_choice("expert", self.expert, EXPERT_KINDS)
         require_choice("expert strategy", self.expert_strategy, EXPERT_STRATEGIES)
         for name, (lowest, highest) in LIMITS.items():
@@ -100,6 +104,8 @@ class CollectionSpec:
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
+        is_dense = self.environment.is_dense
+        _require(not (self.policy and is_dense), "control", "dense", "keyframe: experts correct key frames", "keyframe")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")
         count = len(self.objects) * self.episodes_per_object
@@ -169,8 +175,8 @@ def manifest_path(root: Path) -> Path:
 def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
-    names = (*MANIFEST_FIELDS, *DENSE_FIELDS) if environment.is_dense else MANIFEST_FIELDS
-    return to_stored({name: plain[name] for name in names})
+    more = DENSE_FIELDS if environment.is_dense else tuple(name for name in OF_PICTURES if plain[name] is not None)
+    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more)})
 
 
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
@@ -193,9 +199,9 @@ MANIFEST_FIELDS = (
     "max_failed_tries", "hidden_overrides", "workspace",
 )  # fmt: skip
 """Environment options in a manifest."""
-DENSE_FIELDS = (
-    "control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", "cameras", "image_source",
-)  # fmt: skip
+OF_PICTURES = ("cameras", "image_source")
+"""Environment options in a manifest of key frames if they are chosen."""
+DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest
 from lerobot_adamanip.util.json_fields import parse
 
@@ -34,7 +35,7 @@ def episode_values(dataset: Dataset) -> DataFrame:
     """Returns a table with one row per episode and one column per value; None is an unknown value.
 
     The columns are the scalar columns of ``meta/episodes`` and derived values: ``category`` and ``object_split`` (seen,
-    unseen, novel) of its object, ``task``, ``key_frames`` (number of actions), ``recoveries`` (failed tries followed by
+    unseen, novel) of its object, ``task``, ``key_frames`` (their number), ``recoveries`` (failed tries followed by
     a successful one), and its hidden state, for example ``hidden.locked``.
     """
     import pandas as pd
@@ -58,15 +59,22 @@ def counted_labels(dataset: Dataset) -> DataFrame:
     Rows without a label count as rows without a try, a success or an end.
     """
     unlabelled: dict[str, Any] = {schema.TRIED: -1, schema.FAILED: False, schema.SUCCESS: False, schema.DONE: False}
+    is_dense = is_dense_collection(dataset.features)
+    unlabelled |= {schema.DIRECTION: 0, schema.TRIAL: 0, schema.OUTCOME: 0} if is_dense else {}
     rows = dataset.column_table([key for key in unlabelled if key in dataset.features]).to_pandas()
     rows = rows.assign(**{key: value for key, value in unlabelled.items() if key not in rows})
     episode, failed = rows["episode_index"], rows[schema.FAILED].astype(bool)
-    tried = rows[schema.TRIED] >= 0
+    tried, ends = rows[schema.TRIED] >= 0, ~rows[schema.DONE].astype(bool)
+    if is_dense:  # a try lasts several rows, and so does a key frame
+        one_try = [schema.TRIED, schema.DIRECTION, schema.TRIAL]
+        tried &= ~rows.duplicated(["episode_index", *one_try])
+        is_last = rows[schema.DONE].shift(-1, fill_value=True).astype(bool)
+        ends &= (rows[schema.OUTCOME] != schema.GOES_ON) | is_last
     followed = failed[tried].groupby(episode[tried]).shift(fill_value=False) & ~failed[tried]
     counts = {
-        "key_frames": ~rows[schema.DONE].astype(bool),
+        "key_frames": ends,
         "tries": tried,
-        "failed_tries": failed,
+        "failed_tries": failed & tried,
         "recoveries": followed.reindex(rows.index, fill_value=False),
         "success": rows[schema.SUCCESS].astype(bool),
     }

@@ -30,10 +30,10 @@ import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
-from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.collection_spec import columns_of, manifest_path
+from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
 from lerobot_adamanip.datasets.encoding import PLACE
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
@@ -390,7 +390,7 @@ class Dataset:
         cloud = shapes.get(schema.POINT_CLOUD, ())
         points = num_points or (cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS)
         contract = schema.dataset_features(points)
-        if schema.KEY_FRAME in self.features:  # at control rate, with clouds or without
+        if is_dense_collection(self.features):
             contract = dense_contract(self.features)
         for key in (schema.POINT_CLOUD, schema.STATE, schema.ACTION):
             if key in contract and shapes.get(key) != (right := tuple(contract[key]["shape"])):
@@ -400,26 +400,6 @@ class Dataset:
                     allowed=f"shape {right}",
                     hint=f"adamanip collect DIR --num-points {points}, or another dataset",
                 )
-
-
-def dense_contract(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
-    """Returns the features that a simulated dataset at control rate must have, by its sizes."""
-
-    def names(key: str, kinds: Mapping[str, tuple[str, ...]]) -> tuple[str, ...]:
-        size = tuple(features.get(key, {}).get("shape", ()))
-        return next((names for names in kinds.values() if (len(names),) == size), next(iter(kinds.values())))
-
-    cloud = tuple(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
-    cameras = [name for name in CAMERAS if image_column(name) in features]
-    size = features[image_column(cameras[0])]["shape"][0] if cameras else schema.IMAGE_SIZE
-    return schema.dense_features(
-        names(schema.ACTION, ACTION_NAMES),
-        names(schema.STATE, STATES),
-        image_size=size,
-        cameras=cameras,
-        num_points=max(1, cloud[0] // 3) if cloud else None,
-        has_effort=schema.EFFORT in features,
-    )
 
 
 def _episode(row: Mapping[str, Any], videos: Iterable[str]) -> Episode:

@@ -141,7 +141,7 @@ def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Pat
             pictures.mkdir()
             paths[key] = [str(pictures / f"frame-{number:06d}.png") for number in range(len(episode))]
             for path, image in zip(paths[key], episode.columns[key], strict=True):
-                write_image(image, Path(path))
+                write_image(image, Path(path), compress_level=0)  # read again at once
         stats = compute_statistics({key: {**rows, **paths}[key] for key in features if key not in PLACE}, features)
         videos = {key: _encode(pictures, fps) for key, pictures in images.items()}
     return PreparedEpisode(episode.record, _table(rows, features), stats, videos)

@@ -22,6 +22,7 @@ from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
     MAX_EPISODES,
     MAX_OBJECTS,
+    OF_PICTURES,
     CollectionPaths,
     CollectionSpec,
     environment_json,
@@ -245,7 +246,9 @@ _DENSE: Mapping[str, Check] = {
 
 def _environment(name: str, value: Any) -> Any:
     """Checks the options of the environments: those of dense control are there for it alone."""
-    return table({**_ENVIRONMENT, **_DENSE} if "control" in value else _ENVIRONMENT)(name, value)
+    fields = value if isinstance(value, Mapping) else {}
+    names = _DENSE if "control" in fields else [key for key in OF_PICTURES if key in fields]
+    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}})(name, value)
 
 
 _COLLECTION: Mapping[str, Check] = {

@@ -14,6 +14,7 @@ from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.conditions import counted_labels, episode_values
 from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.metrics import Recovery, recovery
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
@@ -74,6 +75,8 @@ class DatasetStats:
         rows: number of rows, including final observations.
         late: number of episodes that start from mid-task states.
         lengths: key frames of an episode -> number of episodes.
+        steps: steps of an episode at control rate -> number of episodes; empty for key frames.
+        fps: steps per second.
         failures: failed tries of an episode -> number of labelled episodes.
         groups: all episodes first, then groups by category, split of objects, and hidden value.
         recovery: results after a failed try; None if no episode stores its tries in order.
@@ -86,6 +89,8 @@ class DatasetStats:
     bytes: int
     late: int
     lengths: Mapping[int, int]
+    steps: Mapping[int, int]
+    fps: int
     failures: Mapping[int, int]
     groups: Mapping[Group, GroupStats]
     recovery: Recovery | None
@@ -98,9 +103,11 @@ class DatasetStats:
 
     def length_summary(self) -> dict[str, float]:
         """Returns smallest, median, mean and largest number of key frames of an episode."""
-        lengths = sorted(Counter(dict(self.lengths)).elements())
-        middle = {"median": statistics.median(lengths), "mean": statistics.mean(lengths)}
-        return {"min": lengths[0], **middle, "max": lengths[-1]}
+        return _summary(self.lengths)
+
+    def step_summary(self) -> dict[str, float]:
+        """Returns the same of the steps at control rate; empty for key frames."""
+        return _summary(self.steps) if self.steps else {}
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary; groups are a list of ``by``, ``name`` and their numbers."""
@@ -109,7 +116,13 @@ class DatasetStats:
             {"by": group.by, "name": group.name, **asdict(stats), **success_summary(stats.success)}
             for group, stats in self.groups.items()
         ]
-        return {**plain, "key_frames": self.length_summary(), "groups": groups}
+        return {**plain, "key_frames": self.length_summary(), "step_summary": self.step_summary(), "groups": groups}
+
+
+def _summary(counts: Mapping[int, int]) -> dict[str, float]:
+    lengths = sorted(Counter(dict(counts)).elements())
+    middle = {"median": statistics.median(lengths), "mean": statistics.mean(lengths)}
+    return {"min": lengths[0], **middle, "max": lengths[-1]}
 
 
 def read_stats(root: str | Path) -> DatasetStats:
@@ -120,14 +133,16 @@ def read_stats(root: str | Path) -> DatasetStats:
     """
     dataset = Dataset(root)
     try:
-        table, records = _table(dataset), _records(dataset)
+        table, records, is_dense = _table(dataset), _records(dataset), is_dense_collection(dataset.features)
         return DatasetStats(
             root=str(dataset.root),
             objects=int(table["object_id"].nunique()),
             rows=int(table["length"].sum()),
             bytes=files.tree_bytes(dataset.root),
             late=sum(late is True for late in table["late"]),
-            lengths=dict(sorted(Counter((table["length"] - 1).tolist()).items())),
+            lengths=dict(sorted(Counter(table["key_frames"].tolist()).items())),
+            steps=dict(sorted(Counter((table["length"] - 1).tolist()).items())) if is_dense else {},
+            fps=dataset.fps,
             failures=dict(sorted(Counter(table["failed_tries"][table["labelled"]].tolist()).items())),
             groups={group: _count(episodes) for group, episodes in _groups(table).items()},
             recovery=recovery(records) if records else None,
@@ -153,7 +168,9 @@ def _table(dataset: Dataset) -> DataFrame:
         table[name] = column.where(column.notna(), labels[name]) if name in counts else column
     if "recorded" in dataset.own_columns.column_names:
         table["recorded"] = dataset.own_columns["recorded"].to_pylist()
-    return table.assign(labelled=table["recorded"].isna()).astype({**counts, "length": int})
+    key_frames = labels["key_frames"] if is_dense_collection(dataset.features) else table["length"] - 1
+    table = table.assign(labelled=table["recorded"].isna(), key_frames=key_frames)
+    return table.astype({**counts, "length": int, "key_frames": int})
 
 
 def _groups(table: DataFrame) -> dict[Group, DataFrame]:
@@ -194,7 +211,7 @@ def _count(table: DataFrame) -> GroupStats:
     return GroupStats(
         episodes=len(table),
         labelled=int(table["labelled"].sum()),
-        key_frames=int((table["length"] - 1).sum()),
+        key_frames=int(table["key_frames"].sum()),
         tries=int(table["tries"].sum()),
         failed_tries=int(table["failed_tries"].sum()),
         recovered=rate(int(failing["success"].sum()), len(failing)),

@@ -18,6 +18,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.evaluation.plots import new_figure
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util import files
@@ -41,9 +42,12 @@ Array = NDArray[np.float32]
 
 
 class ShownTry(NamedTuple):
-    """A try; ``progress``: motion of its joint in the commanded direction [rad or m]; ``recovers``: after a failure."""
+    """A try, shown at ``row``, its last one.
 
-    key_frame: int
+    ``progress``: motion of its joint in the commanded direction [rad or m]; ``recovers``: after a failure.
+    """
+
+    row: int
     joint: str
     failed: bool
     progress: float
@@ -52,17 +56,18 @@ class ShownTry(NamedTuple):
 
 @dataclass(frozen=True)
 class ShownEpisode:
-    """An episode of T rows; each row is the observation before its key frame.
+    """An episode of T rows; each row is the observation before its action: a key frame, or a step at control rate.
 
     Attributes:
         title: one line: object, hidden state, result.
-        clouds: (T, N, 3) points, robot base frame [m].
-        tools: (T, 10) poses of the tool, as in the contract's action.
-        goals: (T - 1, 10) commanded poses.
+        clouds: (T, N, 3) points, robot base frame [m]; empty if not recorded.
+        tools: (T, 3) positions of the tool, robot base frame [m].
+        goals: (G, 3) positions of the key frames.
         effort: (T, 7) external joint torques [N m]; empty if not recorded.
-        phases: phase of each key frame; None if unlabelled.
-        outcomes: outcome of each key frame; None if not recorded.
+        phases: phase of each action; None if unlabelled.
+        outcomes: outcome of each action; None if not recorded, or if it does not end a key frame.
         tries: in order.
+        unit: what an action is: a ``key frame`` or a ``step``.
     """
 
     title: str
@@ -73,10 +78,11 @@ class ShownEpisode:
     phases: tuple[Phase | None, ...]
     outcomes: tuple[Outcome | None, ...]
     tries: tuple[ShownTry, ...]
+    unit: str = "key frame"
 
 
 def read_episode(root: Path, index: int) -> ShownEpisode:
-    """Reads an episode of any dataset with a cloud, a state and actions in the contract's form.
+    """Reads an episode of any dataset with a state and key frames in the contract's form.
 
     Raises:
         DatasetError: the dataset is missing, half written or damaged.
@@ -86,16 +92,22 @@ def read_episode(root: Path, index: int) -> ShownEpisode:
     episode = dataset.episode(index)
     columns, length = dataset.columns(episode), episode.length
     sent = length - 1 if columns.get(schema.DONE, [False])[-1] else length
-    tries = tuple(_tries(columns, sent, _joint_names(episode.row.get("object_id"))))
+    is_dense = is_dense_collection(dataset.features)
+    tries = tuple(_tries(columns, sent, _joint_names(episode.row.get("object_id")), is_dense=is_dense))
+    goals = columns.get(schema.EXECUTED, columns[schema.ACTION])[:sent]
+    if is_dense:
+        goals = columns[schema.KEY_FRAME][:sent][columns[schema.OUTCOME][:sent] != schema.GOES_ON]
+    clouds = columns.get(schema.POINT_CLOUD, np.zeros((length, 0)))
     return ShownEpisode(
         title=_title(index, episode.row, tries),
-        clouds=as_points(columns[schema.POINT_CLOUD]).astype(np.float32),
-        tools=columns[schema.STATE][:, : schema.ACTION_DIM].astype(np.float32),
-        goals=columns.get(schema.EXECUTED, columns[schema.ACTION])[:sent].astype(np.float32),
+        clouds=as_points(clouds).astype(np.float32),
+        tools=columns[schema.STATE][:, schema.POSITION_DIMS].astype(np.float32),
+        goals=goals[:, schema.POSITION_DIMS].astype(np.float32),
         effort=columns.get(schema.EFFORT, np.zeros((length, 0))).astype(np.float32),
         phases=_labels(Phase, columns.get(schema.PHASE), sent),
         outcomes=_labels(Outcome, columns.get(schema.OUTCOME), sent),
         tries=tries,
+        unit="step" if is_dense else "key frame",
     )
 
 
@@ -106,17 +118,26 @@ def _labels[Label: enum.IntEnum](
     return tuple(known.get(code) for code in ([-1] * count if column is None else column[:count].astype(int).tolist()))
 
 
-def _tries(columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...]) -> Iterator[ShownTry]:
+def _tries(
+    columns: Mapping[str, NDArray[Any]], sent: int, names: tuple[str, ...], *, is_dense: bool
+) -> Iterator[ShownTry]:
+    """Yields the tries of an episode; a dense one is shown at its last row."""
     failed_before = False
-    for number, joint in enumerate(
-        columns[schema.TRIED][:sent].astype(int).tolist() if schema.TRIED in columns else ()
-    ):
+    tried = columns[schema.TRIED][:sent].astype(int).tolist() if schema.TRIED in columns else []
+    keys = [schema.DIRECTION, schema.TRIAL] if is_dense else []
+    runs = zip(
+        tried, *(columns[key][:sent].tolist() for key in keys), *([] if is_dense else [range(sent)]), strict=False
+    )
+    first = 0
+    for (joint, *_), run in itertools.groupby(runs):
+        end = first + len(list(run))
         if joint >= 0:
-            failed = bool(columns[schema.FAILED][number])
+            failed = bool(columns[schema.FAILED][end - 1])
             name = names[joint] if joint < len(names) else f"joint {joint}"
-            progress = float(columns[schema.PROGRESS][number])
-            yield ShownTry(number, name, failed, progress, recovers=failed_before and not failed)
+            progress = float(columns[schema.PROGRESS][first:end].sum())
+            yield ShownTry(end - 1, name, failed, progress, recovers=failed_before and not failed)
             failed_before = failed
+        first = end
 
 
 def _joint_names(object_id: object) -> tuple[str, ...]:
@@ -170,22 +191,23 @@ def draw(episode: ShownEpisode) -> Figure:
 
 def _draw_scene(axes: Any, episode: ShownEpisode) -> None:
     """Draws the first cloud, seen over the robot's shoulder. A try is drawn where the tool was at its end."""
-    path, goals = episode.tools[:, :3], episode.goals[:, :3]
+    path, goals = episode.tools, episode.goals
     around = np.concatenate([path, goals])
     low, high = around.min(axis=0) - MARGIN, around.max(axis=0) + MARGIN
     cloud = episode.clouds[0]
     cloud = cloud[((cloud >= low) & (cloud <= high)).all(axis=1)]
-    axes.scatter(*cloud.T, c=cloud[:, 2], s=12, cmap="viridis", alpha=0.8, linewidths=0, gid="cloud")
+    if len(cloud):
+        axes.scatter(*cloud.T, c=cloud[:, 2], s=12, cmap="viridis", alpha=0.8, linewidths=0, gid="cloud")
     axes.plot(*path.T, color=PATH, linewidth=1.6, gid="path", label="tool")
     axes.scatter(*goals.T, s=26, facecolors="white", edgecolors="#444444", gid="goals", label="goal")
     for failed, marker, color, name in ((True, "X", FAILED, "failed try"), (False, "o", WORKED, "try that worked")):
         tries = [each for each in episode.tries if each.failed is failed]
-        places = path[[each.key_frame + 1 for each in tries]]
+        places = path[[each.row + 1 for each in tries]]
         axes.scatter(*places.T, s=70, marker=marker, color=color, depthshade=False, gid=name, label=name)
         for each, (x, y, z) in zip(tries, places, strict=True):
             if failed or each.recovers:
                 beside = z + 0.02 if failed else z - 0.035
-                axes.text(x, y, beside, str(each.key_frame), color=color, fontweight="bold", ha="center", gid="numbers")
+                axes.text(x, y, beside, str(each.row), color=color, fontweight="bold", ha="center", gid="numbers")
     axes.set(xlabel="x [m]", ylabel="y [m]", zlabel="z [m]")
     axes.set_box_aspect(high - low, zoom=1.3)
     axes.view_init(elev=20, azim=-160)
@@ -194,7 +216,7 @@ def _draw_scene(axes: Any, episode: ShownEpisode) -> None:
 
 
 def _draw_timeline(axes: Axes, episode: ShownEpisode) -> None:
-    """Draws phases, motions that missed their goal, tries and external joint torques, by key frame."""
+    """Draws phases, motions that missed their goal, tries and external joint torques, by action."""
     from matplotlib.ticker import MaxNLocator
 
     for joint, torque in enumerate(episode.effort.T):
@@ -210,7 +232,7 @@ def _draw_timeline(axes: Axes, episode: ShownEpisode) -> None:
     for each in episode.tries:
         label = f"{each.joint}\n{each.progress:+.2f}" + ("\nrecovers" if each.recovers else "")
         color = FAILED if each.failed else WORKED
-        axes.text(each.key_frame + 0.5, 0.03, label, transform=top, color=color, fontsize=7, ha="center", gid="tries")
+        axes.text(each.row + 0.5, 0.03, label, transform=top, color=color, fontsize=7, ha="center", gid="tries")
     for number, outcome in enumerate(episode.outcomes):
         if outcome:  # neither reached nor unknown
             name = outcome.name.lower()
@@ -218,5 +240,5 @@ def _draw_timeline(axes: Axes, episode: ShownEpisode) -> None:
     if episode.effort.size:
         axes.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), fontsize=7, frameon=False)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.set(xlim=(0, len(episode.goals)), xlabel="key frame", ylabel="torque [N m]")
+    axes.set(xlim=(0, len(episode.phases)), xlabel=episode.unit, ylabel="torque [N m]" if episode.effort.size else "")
     axes.spines[["top", "right"]].set_visible(False)

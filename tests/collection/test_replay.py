@@ -41,7 +41,7 @@ def test_a_recording_of_other_versions_is_compared_and_said_to_be_one(
     assert ReplayCommand(root=finished, episode=0).run() == 0
     printed = capsys.readouterr()
     assert "Recorded with other versions: code differ." in printed.out
-    assert "key frames: " in printed.err  # progress without a terminal
+    assert "replayed: " in printed.err  # progress without a terminal
 
 
 @pytest.fixture

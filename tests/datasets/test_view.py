@@ -47,12 +47,12 @@ def test_an_episode_is_read_as_it_was_recorded(safe: ShownEpisode) -> None:
         safe.clouds, columns[schema.POINT_CLOUD].astype(np.float32).reshape(safe.clouds.shape)
     )
     assert safe.clouds.shape[1:] == (1024, 3)
-    np.testing.assert_array_equal(safe.tools, columns[schema.STATE][:, :10].astype(np.float32))
-    np.testing.assert_array_equal(safe.goals, columns[schema.EXECUTED][:-1].astype(np.float32))
+    np.testing.assert_array_equal(safe.tools, columns[schema.STATE][:, :3].astype(np.float32))
+    np.testing.assert_array_equal(safe.goals, columns[schema.EXECUTED][:-1, :3].astype(np.float32))
     np.testing.assert_array_equal(safe.effort, columns[schema.EFFORT].astype(np.float32))
     assert len(safe.goals) == len(columns["index"]) - 1 == 21
     tried = np.flatnonzero(columns[schema.TRIED][:-1] >= 0).tolist()
-    assert [each.key_frame for each in safe.tries] == tried
+    assert [each.row for each in safe.tries] == tried
     failed = columns[schema.FAILED][tried].tolist()
     assert [each.failed for each in safe.tries] == failed
     assert sum(each.recovers for each in safe.tries) == 1
@@ -82,7 +82,7 @@ def test_a_picture_shows_path_goals_tries_phases_and_effort_where_they_were(safe
     assert (found["tries"], found["numbers"], found["phases"], found["effort"]) == (8, 3, runs, 7 * 22)
     assert found["stalled"] == sum(outcome is Outcome.STALLED for outcome in safe.outcomes) == 3
     (marks,) = [each for each in figure.axes[0].collections if each.get_gid() == "failed try"]
-    ended = [each.key_frame + 1 for each in safe.tries if each.failed]
+    ended = [each.row + 1 for each in safe.tries if each.failed]
     np.testing.assert_allclose(np.stack(marks._offsets3d).T, safe.tools[ended, :3], atol=1e-6)
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
 from lerobot_adamanip.datasets.opening import INFO
 from lerobot_adamanip.hardware.features import is_dense, names_of
 
@@ -16,7 +17,7 @@ OF_LEROBOT: Mapping[str, str] = {
 }  # fmt: skip
 """Columns that LeRobot adds to every dataset, and their dtypes."""
 REQUIRED = (schema.POINT_CLOUD, schema.STATE, schema.ACTION)
-"""Columns of every dataset of this project. A robot's may lack the other columns; a collection has all."""
+"""Columns of every dataset of key frames. A robot's may lack the other columns; a collection has all."""
 
 
 def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *, collected: bool) -> None:
@@ -54,13 +55,16 @@ def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> N
 
 def contract_of(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Returns the contract for this dataset's number of points and image size."""
+    of_lerobot = {key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}
+    if is_dense_collection(features):
+        return {**dense_contract(features), **of_lerobot}
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
     image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
     points = max(1, cloud[0] // 3) if cloud else schema.DEFAULT_NUM_POINTS
     size = image[0] if image else schema.IMAGE_SIZE
     cameras = [name for name in CAMERAS if image_column(name) in features]
     own = schema.dataset_features(points, size, cameras=cameras)
-    return {**own, **{key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}}
+    return {**own, **of_lerobot}
 
 
 def _plain(value: object) -> object:

@@ -48,6 +48,7 @@ KINDS: Mapping[str, Kind] = {
     "rotation": Kind("rotation 6D of a state's or an action's pose is not two orthonormal rows", _NO),
     "workspace": Kind("a cloud has points outside the workspace", _NO),
     "gripper": Kind("a gripper's opening is not in [0, 1]", _NO),
+    "limits": Kind("a dense action or state is outside the limits of its kind", _NO),
     "label": Kind("a label is not one of the contract's codes, or contradicts earlier labels", _NO),
     "video-length": Kind("a video is shorter than its episodes, or is cut at other places", _NO),
     "video-content": Kind("a video's colours differ from its episode's statistics", _NO),

@@ -16,8 +16,10 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Outcome, Phase
 from lerobot_adamanip.contract.pointcloud import Workspace, as_points
+from lerobot_adamanip.datasets.check.dense_rows import DENSE_LABELS, check_dense_course, check_dense_values
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.dataset import Dataset, Episode
+from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.opening import first_line
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util.arrow import numeric_array
@@ -145,10 +147,13 @@ def check_values(
         if values.dtype.kind == "f":
             broken = ~np.isfinite(values).reshape(len(values), -1).all(axis=1)
             report.add_rows("not-finite", f"NaN or infinity in {key}", where, broken)
+    is_dense = is_dense_collection(features)
     with np.errstate(invalid="ignore"):
         _check_poses(where, columns, report)
         _check_clouds(where, columns, workspace, report)
-    for key, (lowest, highest) in LABELS.items():
+        if is_dense:
+            check_dense_values(where, columns, features, report)
+    for key, (lowest, highest) in {**LABELS, **(DENSE_LABELS if is_dense else {})}.items():
         if key in columns:
             wrong = (columns[key] < lowest) | (columns[key] > highest)
             report.add_rows("label", f"{key} is not in {lowest} ... {highest}", where, wrong)
@@ -176,7 +181,10 @@ def _shape(cell: Any) -> tuple[int, ...] | None:
 
 
 def _check_poses(where: Rows, columns: Columns, report: Report) -> None:
-    for key in (key for key in (schema.STATE, schema.ACTION) if key in columns):
+    """Checks the columns that begin with a pose; other kinds of dense actions and states are shorter."""
+    for key in (key for key in (schema.STATE, schema.ACTION, schema.KEY_FRAME) if key in columns):
+        if columns[key].shape[1] < schema.ACTION_DIM:
+            continue
         values = columns[key].astype(np.float64)
         finite = np.isfinite(values).all(axis=1)
         rows = values[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
@@ -217,3 +225,5 @@ def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Repor
         trial = columns[schema.TRIAL].astype(np.int64)
         wrong = np.where(first, trial != 0, np.diff(trial, prepend=trial[:1]) < 0) & (trial != UNLABELLED)
         report.add_rows("label", f"{schema.TRIAL} does not count failed tries up from 0", where, wrong)
+    if schema.KEY_FRAME in columns:
+        check_dense_course(where, first, columns, report)
