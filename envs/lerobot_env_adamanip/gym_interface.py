@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
+import re
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ NEW_ROLLOUT = "lerobot_new_rollout"
 """Option with which LeRobot resets at the start of a rollout: its `NEW_ROLLOUT_OPTION`, without importing LeRobot."""
 RESET_OPTIONS = ("object_id", "hidden_overrides", NEW_ROLLOUT)
 RENDER_MODE = "rgb_array"
+_CAMERA_NAME = re.compile(r"[A-Za-z0-9_]+")
 POSE_LOW, POSE_HIGH = (-2.0, -2.0, -2.0, *[-1.01] * 6, -1.0), (2.0, 2.0, 2.0, *[1.01] * 6, 2.0)
 """Bounds of an observed tool pose: position [m], rotation 6D, gripper. Far outside of what the arm reaches."""
 MAX_JOINT_POSITION, MAX_JOINT_VELOCITY, MAX_EFFORT = 2 * np.pi, 100.0, 1000.0
@@ -69,6 +71,23 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
         picture = gym.spaces.Box(0, 255, (options.image_size, options.image_size, 3), np.uint8)
         spaces["pixels"] = gym.spaces.Dict(dict.fromkeys(options.observed_cameras, picture))
     return gym.spaces.Dict(spaces)
+
+
+def camera_names(cameras: Sequence[str], names: Sequence[str] | None) -> dict[str, str]:
+    """Returns camera -> its name in observations: ``names`` in the order of the cameras, or their own.
+
+    Raises:
+        ConfigurationError: not one name per camera, a name twice, or another character than letters, digits and _.
+    """
+    names = cameras if names is None else names
+    if len({*names}) != len(names) or len(names) != len(cameras) or not all(map(_CAMERA_NAME.fullmatch, names)):
+        raise ConfigurationError(
+            "Wrong names of cameras.",
+            got=f"camera_names {list(names)} of the cameras {list(cameras)}",
+            allowed="one name per camera, all different, of letters, digits and _",
+            hint="--env.cameras='[front,wrist]' --env.camera_names='[camera1,camera2]'",
+        )
+    return dict(zip(cameras, names, strict=True))
 
 
 def reset_options(environment: EnvironmentOptions, options: Mapping[str, Any]) -> dict[str, Any]:

@@ -8,23 +8,36 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class CameraView:
-    """A fixed camera.
+    """A camera, at rest in the scene or mounted on a link of the arm.
 
     Attributes:
-        eye, target: nominal position and point of view, robot base frame [m]; each scene draws poses around them.
+        eye, target: nominal position and point of view, in ``link``'s frame [m]; each scene draws poses around them.
         field_of_view: [rad].
+        link: link of the arm that carries the camera; empty for the robot's base, which rests.
+        up: direction in ``link``'s frame that is up in images.
+        spread: share of the scene's random shift of cameras: a mount is more exact than a tripod.
     """
 
     eye: tuple[float, float, float]
     target: tuple[float, float, float]
     field_of_view: float
+    link: str = ""
+    up: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    spread: float = 1.0
 
 
 FRONT = "front"
 """Camera whose depth gives the cloud, and which `render` shows."""
+WRIST = "wrist"
+"""Camera on the hand, which sees the fingers and what they hold."""
+HAND = "panda_hand"
+"""Link of the Franka Hand: z to the fingertips, 0.1034 m away at the tool's centre, y along the fingers' motion."""
 CAMERAS = {
     # Third person, beside and above the arm (paper: one camera adjacent to the robot).
     FRONT: CameraView((0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),
+    # Where a RealSense is mounted on a Franka Hand (ManiSkill's panda_wristcam), tilted to the fingers, with the field
+    # of view of robosuite's cameras in the hand.
+    WRIST: CameraView((0.065, 0.0, 0.03), (0.02, 0.0, 0.20), math.radians(75), HAND, (1.0, 0.0, 0.0), 0.1),
 }
 """Name in observations (``pixels``) -> camera. A row's random draws follow those of earlier rows."""
 PIXEL_CONVENTION = "opencv"

@@ -103,10 +103,10 @@ class DenseRecording:
         states, asked = (columns[key].astype(np.float32, copy=False) for key in (schema.STATE, schema.ACTION))
         names, asked_names = (names_of(self.dataset.features[key]) for key in (schema.STATE, schema.ACTION))
 
-        def scalars(wanted: Sequence[str], default: float) -> NDArray[np.float32]:
-            if not self._has(wanted):
-                return np.full((len(states), len(wanted)), default, np.float32)
-            return states[:, [names.index(name) for name in wanted]]
+        def scalars(selected: Sequence[str], default: float) -> NDArray[np.float32]:
+            if not self._has(selected):
+                return np.full((len(states), len(selected)), default, np.float32)
+            return states[:, [names.index(name) for name in selected]]
 
         state = scalars(schema.STATE_NAMES, np.nan)
         if not np.isfinite(state).all() or len(state) < 2:
@@ -147,8 +147,8 @@ class DenseRecording:
             sent.append(sent[-1] if allowed is None else allowed)
         return np.stack(sent)
 
-    def _has(self, wanted: Sequence[str]) -> bool:
-        return set(wanted) <= set(names_of(self.dataset.features[schema.STATE]))
+    def _has(self, selected: Sequence[str]) -> bool:
+        return set(selected) <= set(names_of(self.dataset.features[schema.STATE]))
 
     @property
     def has_success(self) -> bool:

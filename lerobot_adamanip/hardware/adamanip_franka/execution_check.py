@@ -4,8 +4,8 @@ A policy that was trained on key frames predicts complete motions. In ``stream``
 a few millimetres before the next one replaces it. A policy that was trained on ticks predicts the next 1/30 s. In
 ``keyframe`` mode the arm would come to rest after each action.
 
-LeRobot gives a robot no policy, so the command's configuration is looked up on the call stack. Columns of the training
-data tell both kinds apart: LeRobot stores statistics of all of them in a checkpoint, also of stock policies.
+LeRobot gives a robot no policy, so the command's configuration is looked up on the call stack. The columns of the
+training data show which kind it is: LeRobot stores statistics of all of them in a checkpoint, also of stock policies.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ONE_ACTION_IS = {Execution.KEYFRAME: "one complete motion (a key frame)", Execut
 def check_caller(robot: Any) -> None:
     """Checks the LeRobot command that connects a robot with this configuration.
 
-    It checks the policy of `lerobot-rollout` and the dataset of `lerobot-replay`. Teleoperation is free.
+    It checks the policy of `lerobot-rollout` and the dataset of `lerobot-replay`. Teleoperation may use either mode.
 
     Raises:
         ConfigurationError: the command's actions need the other execution mode.
