@@ -226,7 +226,7 @@ def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
         strokes.starts_stroke(commands[None, start:end], poses[None, start:end])[0].numpy()
         for start, end in zip([0, *ends[:-1]], ends, strict=True)
     ]
-    return np.concatenate(parts).cumsum()
+    return np.cumsum(np.concatenate(parts), dtype=np.int64)
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:
