@@ -1,4 +1,4 @@
-"""Checks that the policy of a LeRobot command fits the environments: same categories, same observations.
+"""Checks that the policy of a LeRobot command fits the environments: same categories, control and observations.
 
 LeRobot compares only the names of images, and gives an environment's configuration no policy. So this reads the
 command's option ``--policy.path``, as LeRobot's own commands do.
@@ -15,12 +15,17 @@ from lerobot.configs import parser
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
-from lerobot_adamanip.datasets.training_data import training_objects, training_options
+from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, JOINT, KEYFRAME, POSE, STATES
+from lerobot_adamanip.contract.schema import ACTION, EFFORT, FPS, KEY_FRAME, POINT_CLOUD, STATE
+from lerobot_adamanip.datasets.training_data import training_info, training_objects, training_options
 from lerobot_adamanip.util.errors import ConfigurationError, listed
 
 if TYPE_CHECKING:
     from lerobot_env_adamanip.config import AdaManipEnvConfig
+
+
+_OPTIONAL = {POINT_CLOUD: "--env.observe_cloud=true", EFFORT: "--env.observe_effort=true"}
+"""Observation that dense environments may lack -> the option that adds it."""
 
 
 def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:
@@ -70,11 +75,19 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
 
     policy = PreTrainedConfig.from_pretrained(path)
     _require_workspace(policy, path, environment)
+    _require_control(policy, path, environment)
     offered = env_to_policy_features(environment)
     for name, feature in (policy.input_features or {}).items():
-        if name == POINT_CLOUD and hasattr(policy, "num_points"):
+        if name == POINT_CLOUD and name in offered and hasattr(policy, "num_points"):
             continue  # uses the first points of a cloud, and checks their number itself
         trained, offer = tuple(feature.shape), offered.get(name)
+        if offer is None and name in _OPTIONAL:
+            raise ConfigurationError(
+                f"The policy sees {name}, and the environments do not observe it.",
+                got=f"observations {listed(sorted(offered))}",
+                allowed=f"{name} {trained}, as {path} was trained",
+                hint=_OPTIONAL[name],
+            )
         if offer is not None and tuple(offer.shape) != trained:
             raise ConfigurationError(
                 f"The policy was trained on {name} of another shape.",
@@ -83,6 +96,48 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
                 hint=_remedy(name, trained),
             )
     _require_cameras(policy, path, offered)
+
+
+def _require_control(policy: Any, path: str, environment: AdaManipEnvConfig) -> None:
+    """Compares control, rate, and kinds of action and state with those of the training, as far as they are known."""
+    control, fps = trained_control(policy, Path(path))
+    inputs, outputs = policy.input_features or {}, policy.output_features or {}
+    features = {"action": outputs.get(ACTION), "state": inputs.get(STATE)}
+    sizes = {key: int(one.shape[0]) for key, one in features.items() if one is not None}
+    kinds = {
+        key: next((kind for kind, names in table.items() if len(names) == sizes.get(key)), None)
+        for key, table in (("action", ACTION_NAMES), ("state", STATES))
+    }
+    if control is None and (kinds["action"] in (EE_DELTA, JOINT) or kinds["state"] == POSE):
+        control = DENSE
+    trained = {"control": control, **({"fps": fps, **kinds} if control == DENSE else {})}
+    known = {name: value for name, value in trained.items() if value is not None}
+    offered = {name: getattr(environment, name) for name in known} if environment.control == DENSE else {}
+    offered["control"] = environment.control
+    if any(offered.get(name) != value for name, value in known.items()):
+        raise ConfigurationError(
+            "The policy was trained with another control.",
+            got=", ".join(f"{name}={value}" for name, value in offered.items()),
+            allowed=", ".join(f"{name}={value}" for name, value in known.items()) + f", as {path} was trained",
+            hint=" ".join(f"--env.{name}={value}" for name, value in known.items()),
+        )
+
+
+def trained_control(policy: Any, checkpoint: Path) -> tuple[str | None, int | None]:
+    """Returns the control and rate [Hz] that a checkpoint was trained with, each None if it is unknown.
+
+    They are those that our policies store, else those of its dataset, or of the environment of its training.
+    """
+    if hasattr(policy, "control_fps"):
+        return (KEYFRAME, None) if policy.control_fps is None else (DENSE, policy.control_fps)
+    info = training_info(checkpoint)
+    if info is not None:
+        is_dense = KEY_FRAME in info["features"] or info["fps"] != FPS
+        return (DENSE, int(info["fps"])) if is_dense else (KEYFRAME, None)
+    environment: Any = training_options(checkpoint).get("env")
+    if not isinstance(environment, Mapping) or environment.get("control") != DENSE:
+        return None, None
+    return DENSE, environment.get("fps")
 
 
 def _require_cameras(policy: Any, path: str, offered: Mapping[str, Any]) -> None:

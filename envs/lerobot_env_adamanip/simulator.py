@@ -11,7 +11,7 @@ import gymnasium as gym
 
 from lerobot_adamanip.assets import PlacementCheck
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.options import RENDER, EnvironmentOptions
 from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def sensors_name(options: EnvironmentOptions) -> str:
         require_simulator()
     rays = resolve_cloud_source(options.cloud_source) == "raycast"
     names = [f"embreex {importlib.metadata.version('embreex')}"] if rays else []
-    if options.observe_images or not rays:
+    if (options.observe_images and options.images_from == RENDER) or not rays:
         from lerobot_env_adamanip.sim.sapien_import import import_sapien
 
         import_sapien()

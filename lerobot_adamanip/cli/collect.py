@@ -120,11 +120,11 @@ class CollectCommand:
     """Keep failed episodes in a second dataset, DIR-failed."""
 
     policy: Path | None = None
-    """Policy to correct (DAgger): its folder pretrained_model. The policy drives, and the expert labels every key frame
-    with its own action."""
+    """Policy to correct (DAgger): its folder pretrained_model. The policy drives, and the expert labels every row with
+    its own action."""
 
     expert_share: float = 0.3
-    """With --policy: share of key frames that the expert drives, so that episodes make progress."""
+    """With --policy: share of the expert's key frames that it drives itself, so that episodes make progress."""
 
     seed: int = 0
     """Seed of the whole collection."""

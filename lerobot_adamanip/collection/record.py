@@ -17,7 +17,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.collection.corrections import Actor, ActorFactory, Correcting, corrected_rollout
+from lerobot_adamanip.collection.corrections import (
+    Actor,
+    ActorFactory,
+    Correcting,
+    corrected_rollout,
+    dense_corrected_rollout,
+)
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.schema import ACTION_DIM
@@ -264,7 +270,10 @@ def attempt_episode(
     else:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
         correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
-        result = corrected_rollout(env, observation, correcting, record)
+        if dense is not None:
+            result = dense_corrected_rollout(dense, observation, correcting, record)
+        else:
+            result = corrected_rollout(env, observation, correcting, record)
     episode_record = env.episode_record()
     is_kept = result.success or actor is not None
     description = EpisodeDescription(

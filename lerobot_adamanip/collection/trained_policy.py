@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.observation import Observation, observation_columns
+from lerobot_adamanip.contract.schema import ACTION
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -106,7 +107,7 @@ class TrainedPolicy:
             pipeline.reset()
 
     def act(self, observation: Observation, instruction: str) -> Action:
-        """Returns the (10,) action and adds it to the policy's history, if it has one."""
+        """Returns the action (A,) and adds it to the policy's history, if it has one."""
         import torch
 
         with torch.inference_mode():
@@ -114,11 +115,16 @@ class TrainedPolicy:
         return np.asarray(action.squeeze(0).cpu(), np.float32)
 
     def executed(self, action: Action) -> None:
-        """Replaces the latest action in the policy's history, if it has one."""
+        """Replaces the latest action in the policy's history, if it has one, and drops the rest of its chunk."""
         import torch
 
         if hasattr(self._policy, "replace_latest"):
             self._policy.replace_latest(self._normalized(torch.from_numpy(action)[None]))
+        else:  # LeRobot's policies keep their chunks under these names
+            queues = getattr(self._policy, "_queues", {})
+            for queue in (getattr(self._policy, "_action_queue", None), queues.get(ACTION)):
+                if queue is not None:
+                    queue.clear()
 
     def _normalized(self, action: torch.Tensor) -> torch.Tensor:
         from lerobot.lerobot_types import TransitionKey

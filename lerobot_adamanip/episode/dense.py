@@ -65,6 +65,7 @@ class DenseStep:
         following: observation after the action.
         success: whether the task is done by now.
         labels: the try that goes on in this step.
+        executed: action that was sent, if it is not ``action``: see `lerobot_adamanip.collection.corrections`.
     """
 
     observation: Observation
@@ -74,6 +75,7 @@ class DenseStep:
     following: Observation
     success: bool
     labels: KeyFrameLabels
+    executed: NDArray[np.float32] | None = None
 
 
 def dense_rollout(
@@ -157,7 +159,8 @@ class DenseRecorder:
             schema.KEY_FRAME: np.stack([goal.action() for goal in goals]),
             schema.JOINTS: np.stack(self._joints),
         }
-        columns[schema.EXECUTED] = columns[schema.ACTION]
+        sent = [step.action if step.executed is None else step.executed for step in self.steps]
+        columns[schema.EXECUTED] = np.stack([*sent, stay])
         outcomes = [schema.GOES_ON if step.outcome is None else step.outcome for step in self.steps]
         labels = {
             schema.PHASE: [goal.phase for goal in goals],

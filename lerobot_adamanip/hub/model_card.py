@@ -27,6 +27,7 @@ _CONTACTS = "Past motions of its closed hand, and how far the arm followed them,
 _METHODS = {
     "fast": "It is no diffusion policy: it chooses a typical motion of its demonstrations and refines it.",
     "diffusion": "The method is the paper's, in the tool's frame: a diffusion policy, whose approaches are refined.",
+    "dense": "The method is the paper's, in the tool's frame: a diffusion policy, in chunks of actions.",
     "dp3": "The method is 3D Diffusion Policy, without a history of actions.",
     "paper": "The method is the paper's: a diffusion policy, conditioned on observations and its past actions.",
 }
@@ -121,8 +122,10 @@ def model_card(
 
 def _notes(config: Mapping[str, Any]) -> str:
     preset = str(config.get("preset"))
-    first = f"{_KEY_FRAME} {_METHODS.get(preset, '')}".rstrip()
-    remembers = preset in ("fast", "diffusion") and config.get("n_action_history_steps")
+    fps = config.get("control_fps")
+    action = f"It acts at control rate, {fps} Hz." if fps else _KEY_FRAME
+    first = f"{action} {_METHODS.get(preset, '')}".rstrip()
+    remembers = preset in ("fast", "diffusion", "dense") and config.get("n_action_history_steps")
     return f"{first}\n{_CONTACTS}" if remembers else first
 
 

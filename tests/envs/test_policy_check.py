@@ -115,3 +115,74 @@ def test_a_policy_of_another_workspace_is_refused(tmp_path: Path, monkeypatch: p
         default.create_envs(1)
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={CHECKPOINT}"])
     require_fitting_policy(default, ["safe"])
+
+
+# Control --------------------------------------------------------------------------------------------------------------
+
+
+def dense_checkpoint(folder: Path, *, action: int = 7, state: int = 8, fps: int = 10, **training: Any) -> Path:
+    """An ACT policy's configuration, trained on data at control rate that are on this machine."""
+    path = checkpoint(folder, state=state, **training)
+    outputs = {schema.ACTION: PolicyFeature(FeatureType.ACTION, (action,))}
+    inputs = {schema.STATE: PolicyFeature(FeatureType.STATE, (state,))}
+    ACTConfig(input_features=inputs, output_features=outputs, push_to_hub=False)._save_pretrained(path)
+    root = folder.parent / f"{folder.name}_data"
+    (root / "meta").mkdir(parents=True)
+    (root / "meta" / "info.json").write_text(json.dumps({"fps": fps, "features": {schema.KEY_FRAME: {}}}))
+    options = {"dataset": {"root": str(root), "repo_id": "x/y"}, "env": {"type": "adamanip_safe"}, **training}
+    (path / "train_config.json").write_text(json.dumps(options))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("options", "hint"),
+    [
+        ({}, "--env.control=dense --env.fps=10 --env.action=ee_delta --env.state=pose"),
+        ({"control": "dense", "fps": 25}, "--env.fps=10"),
+        ({"control": "dense", "action": "joint"}, "--env.action=ee_delta"),
+        ({"control": "dense", "state": "full"}, "--env.state=pose"),
+    ],
+    ids=str,
+)
+def test_another_control_is_one_error_with_the_options(
+    options: dict[str, Any], hint: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Any
+) -> None:
+    path = dense_checkpoint(tmp_path / "act")
+    message = refuses(ConfigurationError, lambda: evaluate(monkeypatch, path, **options))
+    assert "another control" in message
+    assert hint in message
+    evaluate(monkeypatch, path, control="dense")
+
+
+def test_a_policy_of_key_frames_is_not_for_control_rate(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Any
+) -> None:
+    root = collect_sound(tmp_path / "demos", observe_images=False)
+    path = checkpoint(tmp_path / "act", dataset={"root": str(root), "repo_id": "x/y"})
+    wrong = {"control": "dense", "action": "ee_pose", "state": "full"}
+    assert "--env.control=keyframe" in refuses(ConfigurationError, lambda: evaluate(monkeypatch, path, **wrong))
+    monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={CHECKPOINT}"])
+    config = make_env_config("adamanip_safe", observe_images=False, observe_cloud=True, **wrong)
+    assert "--env.control=keyframe" in refuses(ConfigurationError, lambda: require_fitting_policy(config, ["safe"]))
+
+
+def test_a_cloud_that_a_policy_needs_is_named_by_its_option(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Any
+) -> None:
+    path = dense_checkpoint(tmp_path / "act")
+    inputs = {
+        schema.STATE: PolicyFeature(FeatureType.STATE, (8,)),
+        schema.POINT_CLOUD: PolicyFeature(FeatureType.ENV, (1024, 3)),
+    }
+    ACTConfig(input_features=inputs, push_to_hub=False)._save_pretrained(path)
+    message = refuses(ConfigurationError, lambda: evaluate(monkeypatch, path, control="dense"))
+    assert "--env.observe_cloud=true" in message
+
+
+def test_without_the_dataset_the_sizes_of_action_and_state_tell(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refuses: Any
+) -> None:
+    path = dense_checkpoint(tmp_path / "act", action=8, state=24, **DATA)
+    message = refuses(ConfigurationError, lambda: evaluate(monkeypatch, path))
+    assert "--env.control=dense --env.action=joint --env.state=full" in message
+    evaluate(monkeypatch, path, control="dense", action="joint", state="full", fps=25)

@@ -27,7 +27,9 @@ UNET_TINY: dict[str, Any] = {
     "down_dims": (32, 64), "num_inference_steps": 2,
 }  # fmt: skip
 BASE_TINY: dict[str, Any] = {**COMMON_TINY, **UNET_TINY, "num_points": 32}
+OF_KEY_FRAMES = ("num_anchors", "num_refinements", "refinement_points")
 DP3_TINY: dict[str, dict[str, Any]] = {
+    "dense": {**{name: value for name, value in TOOL_TINY.items() if name not in OF_KEY_FRAMES}, **UNET_TINY},
     "fast": {**TOOL_TINY, "trunk_dim": 32},
     "diffusion": {**TOOL_TINY, **UNET_TINY},
     "dp3": {**BASE_TINY, "n_obs_steps": 1, "n_action_history_steps": 8, "n_action_steps": 1},

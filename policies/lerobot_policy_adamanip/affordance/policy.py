@@ -41,7 +41,9 @@ class AffordancePolicy(CloudPolicy):
         self._labels: Labels | None = None
         if dataset_meta is not None:
             read_in_batches(dataset_meta)
-            self.match_clouds(dataset_meta, is_trained=config.pretrained_path is not None)
+            is_trained = config.pretrained_path is not None
+            self.match_clouds(dataset_meta, is_trained=is_trained)
+            self.match_control(dataset_meta, is_trained=is_trained)
             demonstrations = read_demonstrations(dataset_meta)
             self._labels = Labels(self.make_labels(demonstrations))
             self._recorded = RecordedRows({INDEX: demonstrations.index, EPISODE: demonstrations.episode})

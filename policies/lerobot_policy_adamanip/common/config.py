@@ -13,6 +13,7 @@ from lerobot.optim.optimizers import AdamWConfig, OptimizerConfig
 from torch.nn import Parameter
 
 from lerobot_adamanip.contract.cameras import FRONT
+from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
@@ -78,6 +79,8 @@ class CloudPolicyConfig(PreTrainedConfig):
     depth_camera: str = FRONT
     # Set automatically: the dataset's action names; lerobot-rollout maps them to a robot's.
     action_feature_names: list[str] | None = None
+    # Set automatically: steps per second of the training data [Hz]; none for key frames.
+    control_fps: int | None = None
     # Licence of the published policy, as named on the Hub.
     license: str | None = "apache-2.0"
 
@@ -104,6 +107,11 @@ class CloudPolicyConfig(PreTrainedConfig):
     def reward_delta_indices(self) -> None:
         """None: rewards are not used."""
         return None
+
+    @property
+    def control(self) -> str | None:
+        """Control of the data and environments, see `contract.control.CONTROLS`; None for any."""
+        return KEYFRAME
 
     @property
     def normalization_mapping(self) -> dict[str, NormalizationMode]:
@@ -136,7 +144,7 @@ class CloudPolicyConfig(PreTrainedConfig):
                 f"{self.type} misses an input.",
                 got=", ".join(inputs) or "no inputs",
                 allowed=f"a dataset with {', '.join(keys)}",
-                hint="adamanip collect DIR --category safe; or adamanip keyframes RECORDING --out DATASET",
+                hint=f"{self._collect}; or adamanip keyframes RECORDING --out DATASET",
             )
         cloud = tuple(inputs[POINT_CLOUD].shape)
         if len(cloud) == 1 and cloud[0] % 3 == 0:
@@ -157,8 +165,14 @@ class CloudPolicyConfig(PreTrainedConfig):
                 f"{self.type} needs actions that are tool poses.",
                 got=f"action {tuple(self.action_feature.shape)}, named as poses: {self.pose_layout}",
                 allowed="the contract's ten pose values, in action and in state",
-                hint="adamanip collect DIR --category safe, or --policy.type=dp3_adaptive --policy.preset=dp3",
+                hint=f"{self._collect}, or --policy.type=dp3_adaptive --policy.preset=dp3",
             )
+
+    @property
+    def _collect(self) -> str:
+        """Command that collects data that this policy can use."""
+        dense = "" if self.control == KEYFRAME else " --control dense --action ee_pose --state full --cloud"
+        return f"adamanip collect DIR --category safe{dense}"
 
     def require_action(self) -> None:
         """Raises `ConfigurationError` for a dataset without actions."""

@@ -18,7 +18,8 @@ from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
 MIN_SHIFT_M, MIN_TURN_RAD = 0.008, 0.1
-"""Least commanded motion of a closed hand that is an event; a grip that settles moves less."""
+"""Least commanded motion of a closed hand that is an event; a grip that settles moves less. At control rate, see
+`strokes`."""
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
 """Units of the undone part of a motion [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
 EVENT_RANGE = 3.0
@@ -38,11 +39,13 @@ class Past:
         commands: (B, H, 10) commanded poses, oldest first.
         poses: (B, H + 1, 10) measured tool poses before each command, and the present one.
         valid: (B, H) bool, false before the episode's start.
+        min_motion: least commanded motion of an event [m, rad].
     """
 
     commands: Tensor
     poses: Tensor
     valid: Tensor
+    min_motion: tuple[float, float] = (MIN_SHIFT_M, MIN_TURN_RAD)
 
     @cached_property
     def motions(self) -> tuple[Tensor, Tensor]:
@@ -60,8 +63,8 @@ class Past:
         shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
         opening = self.poses[:, :-1, GRIPPER_DIM]
         holds = (opening >= EMPTY_HAND) & (opening <= OPEN_HAND)
-        far = (shift > MIN_SHIFT_M) | (turn > MIN_TURN_RAD)
-        moves = holds & far | (motion[..., 2] > MIN_SHIFT_M)
+        far = (shift > self.min_motion[0]) | (turn > self.min_motion[1])
+        moves = holds & far | (motion[..., 2] > self.min_motion[0])
         closed = ~self.opens
         result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
         return result

@@ -20,9 +20,10 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, DONE, EXECUTED, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, DONE, EXECUTED, POINT_CLOUD, STATE
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common import strokes
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
 INDEX, EPISODE = "index", "episode_index"
@@ -30,6 +31,8 @@ IS_LABEL = "is_label"
 """Column of `read_recorded_rows`: whether a row's action is a training label."""
 IS_TRAINED = "is_trained"
 """Column of `read_recorded_rows`: whether a row's episode is trained on."""
+STROKE = "stroke"
+"""Column of `read_recorded_rows`: number of the stroke that a dense step is part of, counted over all episodes."""
 _POSITION, _FIRST, _LAST = "position of an index", "first row of the episode", "last row of the episode"
 
 
@@ -178,6 +181,18 @@ class RecordedRows:
         first, last = (tensors[key][rows, None] for key in (_FIRST, _LAST))
         return shifted.clamp(first, last), (shifted >= first) & (shifted <= last)
 
+    def strokes(self, rows: Tensor, count: int) -> tuple[Tensor, Tensor, Tensor]:
+        """Returns the first and last rows, and validity, each (B, count), of the strokes before rows (B,).
+
+        The latest stroke ends at the row before, though it may go on.
+        """
+        tensors = self._on(rows.device)
+        first, before = tensors[_FIRST][rows], rows - 1
+        latest = torch.where(before >= first, tensors[STROKE][before.clamp(min=0)], tensors[STROKE][first] - 1)
+        number, start, end = strokes.stroke_bounds(tensors[STROKE], latest, count)
+        end = torch.minimum(end, before[:, None])
+        return start.maximum(first[:, None]), end.maximum(first[:, None]), number >= tensors[STROKE][first, None]
+
     def _on(self, device: torch.device) -> dict[str, Tensor]:
         if device not in self._tensors:
             source = next(iter(self._tensors.values()))
@@ -185,8 +200,10 @@ class RecordedRows:
         return self._tensors[device]
 
 
-def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
+def read_recorded_rows(dataset_meta: Any, *, has_strokes: bool = False) -> RecordedRows:
     """Returns states, labels, executed actions, and masks of labels and of trained rows; raises as `read_columns` does.
+
+    With ``has_strokes``, for dense rows, also the numbers of their strokes.
 
     An episode's last row is its final observation, with a command to stay that was not sent. It is no label: a policy
     that learnt it would stop a little before the goal.
@@ -196,7 +213,20 @@ def read_recorded_rows(dataset_meta: Any) -> RecordedRows:
     columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *ends)))
     done = columns.pop(DONE, np.zeros(len(columns[INDEX]))).reshape(-1).astype(np.bool_)
     masks = {IS_LABEL: ~done, IS_TRAINED: is_trained(dataset_meta, columns[EPISODE].reshape(-1))}
-    return RecordedRows({**columns, EXECUTED: columns[executed], **masks})
+    columns |= {EXECUTED: columns[executed], **masks}
+    return RecordedRows(columns | ({STROKE: _stroke_numbers(columns)} if has_strokes else {}))
+
+
+def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
+    """Returns the number of each row's stroke (R,)."""
+    commands, poses = (torch.from_numpy(columns[key][:, :ACTION_DIM]) for key in (EXECUTED, STATE))
+    _, last = episode_bounds(columns[EPISODE].reshape(-1))
+    ends = np.unique(last) + 1
+    parts = [
+        strokes.starts_stroke(commands[None, start:end], poses[None, start:end])[0].numpy()
+        for start, end in zip([0, *ends[:-1]], ends, strict=True)
+    ]
+    return np.cumsum(np.concatenate(parts), dtype=np.int64)
 
 
 def balanced_weights(dataset_meta: Any) -> Tensor:

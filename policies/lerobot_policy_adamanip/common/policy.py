@@ -10,8 +10,9 @@ import torch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
+from lerobot_adamanip.contract.control import DENSE, KEYFRAME, RATES
 from lerobot_adamanip.contract.pointcloud import Workspace
-from lerobot_adamanip.contract.schema import ACTION_DIM, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import ACTION_DIM, FPS, KEY_FRAME, POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.dataset import camera_of, workspace_of
 from lerobot_adamanip.util.errors import ConfigurationError, listed
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig
@@ -50,6 +51,28 @@ class CloudPolicy(PreTrainedPolicy):
                 allowed=f"{trained}, camera {config.depth_camera}",
                 hint="new weights: --policy.type instead of --policy.path",
             )
+
+    def match_control(self, dataset_meta: Any, *, is_trained: bool) -> None:
+        """Stores a dataset's rate of control in the configuration.
+
+        Raises `ConfigurationError` if the policy is for another control, or weights were trained at another rate.
+        """
+        config, fps = self.config, dense_fps(dataset_meta)
+        if config.control not in (None, KEYFRAME if fps is None else DENSE):
+            raise ConfigurationError(
+                f"This policy needs {'key frames' if config.control == KEYFRAME else 'data at control rate'}.",
+                got=f"{'key frames' if fps is None else f'rows at {fps} Hz'} in {dataset_meta.root}",
+                allowed="one row per key frame" if config.control == KEYFRAME else f"rows at {listed(RATES)} Hz",
+                hint="--policy.type=dp3_adaptive --policy.preset=" + ("fast" if fps is None else "dense, or dp3"),
+            )
+        if is_trained and config.control_fps != fps:
+            raise ConfigurationError(
+                "The dataset has another rate of control than the one that the checkpoint was trained on.",
+                got="key frames" if fps is None else f"{fps} Hz",
+                allowed="key frames" if config.control_fps is None else f"{config.control_fps} Hz",
+                hint="new weights: --policy.type instead of --policy.path",
+            )
+        config.control_fps = fps
 
     def get_optim_params(self) -> Any:
         """Returns the parameters to train, after checking that the result can be published."""
@@ -135,6 +158,12 @@ class CloudPolicy(PreTrainedPolicy):
             super().push_model_to_hub(shareable(cfg), *args, **kwargs)
         finally:
             self.config = kept
+
+
+def dense_fps(dataset_meta: Any) -> int | None:
+    """Returns the rows per second of a dense dataset, also of a recording; None for key frames."""
+    is_dense = KEY_FRAME in dataset_meta.features or dataset_meta.fps != FPS
+    return int(dataset_meta.fps) if is_dense else None
 
 
 def log_training_objects(checkpoint: Path) -> None:

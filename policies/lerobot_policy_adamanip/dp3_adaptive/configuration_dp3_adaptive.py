@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
+from lerobot_adamanip.contract.control import DENSE, KEYFRAME
 from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
@@ -31,6 +32,7 @@ class HeadMethod:
         weight_decay: weight decay of AdamW.
         prediction_type: target of the U-Net, ``epsilon`` (the noise) or ``sample`` (the clean action).
         step_embed_dim: size of the diffusion step's embedding.
+        control: of the data and environments, see `contract.control.CONTROLS`; None for any.
     """
 
     head: str
@@ -39,16 +41,24 @@ class HeadMethod:
     weight_decay: float = 1e-6
     prediction_type: str = "sample"
     step_embed_dim: int = 64
+    control: str | None = KEYFRAME
+
+    @property
+    def has_rules(self) -> bool:
+        """Whether typical motions, their refinement and rules act beside the network: they are of key frames."""
+        return self.frame == "tool" and self.control == KEYFRAME
 
 
 METHODS = {
     "fast": HeadMethod("anchors", "tool", weight_decay=1e-4),
     "diffusion": HeadMethod("diffusion", "tool"),
-    "dp3": HeadMethod("diffusion", "base", step_embed_dim=128),
-    "paper": HeadMethod("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256),
+    "dense": HeadMethod("diffusion", "tool", control=DENSE),
+    "dp3": HeadMethod("diffusion", "base", step_embed_dim=128, control=None),
+    "paper": HeadMethod("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256, control=None),
 }
 """``fast``: the head anchors, which is no diffusion. ``diffusion``: the paper's method with this project's tool frame,
-memory of contact events and refinement.
+memory of contact events and refinement. ``dense``: that method at control rate, in longer chunks. Its memory merges
+steps into strokes, and it has neither refinement nor rules.
 
 ``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
 ``--policy.down_dims='[128,256,384]'`` gives the widths of the release's Simple DP3, which a CPU can train; LeRobot's
@@ -63,11 +73,18 @@ TOOL: dict[str, Any] = {
     "num_anchors": 32, "num_refinements": 3, "refinement_points": 128, "optimizer_lr": 1e-3,
     "scheduler_warmup_steps": 100,
 }  # fmt: skip
-"""Options that both heads in the tool's frame use, at a size for two CPU cores."""
+"""Options of the heads in the tool's frame for key frames, at a size for two CPU cores."""
+OF_KEY_FRAMES = {"num_anchors", "num_refinements", "refinement_points"}
+"""Those of them that are not used at control rate."""
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {**TOOL, "horizon": 1, "trunk_dim": 256},
     "diffusion": {
         **TOOL, "horizon": 4, "down_dims": (128, 256), "noise_scheduler_type": "DDIM", "num_inference_steps": 10,
+    },
+    "dense": {
+        **{name: value for name, value in TOOL.items() if name not in OF_KEY_FRAMES},
+        "n_action_history_steps": 32, "horizon": 16, "n_action_steps": 8,
+        "down_dims": (128, 256), "noise_scheduler_type": "DDIM", "num_inference_steps": 10,
     },
     "dp3": {
         "num_points": 1024, "encoder_dims": (64, 128, 256), "encoder_out_dim": 64,
@@ -129,28 +146,30 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Preset, the defaults of the options below: fast or diffusion (for two CPU cores), dp3 or paper (as published).
+    # Preset, the defaults of the options below. For key frames: fast or diffusion (at a size for two CPU cores). For
+    # control rate: dense. For both: dp3 or paper (as published).
     preset: str = "fast"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
-    # Switches of the memory and of each rule at inference (fast and diffusion only).
+    # Switches of the memory and of each rule at inference (fast and diffusion; dense has the memory alone).
     inference: Inference = field(default_factory=Inference)
 
-    # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dp3 2, paper 4).
+    # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dense 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Number of past actions in the policy's input; 0 for none (fast 16, diffusion 16, dp3 0, paper 4).
+    # Number of past actions in the policy's input, in dense of past strokes; 0 for none (fast 16, diffusion 16, dense
+    # 32, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
-    # Number of actions per chunk (fast 1, diffusion 4, dp3 4, paper 4).
+    # Number of actions per chunk (fast 1, diffusion 4, dense 16, dp3 4, paper 4).
     horizon: int = from_preset()
-    # Number of actions executed before the next chunk (fast 1, diffusion 1, dp3 3, paper 2).
+    # Number of actions executed before the next chunk (fast 1, diffusion 1, dense 8, dp3 3, paper 2).
     n_action_steps: int = from_preset()
     # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, diffusion
-    # 1024, dp3 1024, paper 4096).
+    # 1024, dense 1024, dp3 1024, paper 4096).
     num_points: int = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (paper) (fast 64 128 192, diffusion 64 128 192, dp3 64 128 256,
-    # paper 64 128 256 512).
+    # Widths of the encoder's layers (mlp) or levels (paper) (fast 64 128 192, diffusion 64 128 192, dense 64 128 192,
+    # dp3 64 128 256, paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Number of features of a cloud (fast 128, diffusion 128, dp3 64, paper 128).
+    # Number of features of a cloud (fast 128, diffusion 128, dense 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
     # Use the external joint torques as an input.
     use_effort: bool = False
@@ -159,36 +178,36 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Training only: weight rows so that all tasks have the same weight.
     balance_tasks: bool = False
     # Use results of past actions as inputs: the undone motion, and the reached gripper opening (fast True, diffusion
-    # True).
+    # True, dense True).
     use_feedback: bool = from_preset()
-    # Size of the memory of contact events (fast 64, diffusion 64).
+    # Size of the memory of contact events (fast 64, diffusion 64, dense 64).
     memory_dim: int = from_preset()
     # Number of anchors, typical motions of the demonstrations. The head diffusion uses them to know which poses to
     # refine (fast 32, diffusion 32).
     num_anchors: int = from_preset()
     # Width of the layers after the cloud (fast 256).
     trunk_dim: int = from_preset()
-    # Number of first points used to choose a motion; refinement uses all points (fast 512, diffusion 512).
+    # Number of first points used to choose a motion; refinement uses all points (fast 512, diffusion 512, dense 512).
     coarse_points: int = from_preset()
-    # Training only: size of a random subset of coarse_points (fast 320, diffusion 320).
+    # Training only: size of a random subset of coarse_points (fast 320, diffusion 320, dense 320).
     training_points: int = from_preset()
     # Refinement steps of the pose that an open hand approaches; 0 for none (fast 3, diffusion 3).
     num_refinements: int = from_preset()
     # Number of nearest points used by a refinement step (fast 128, diffusion 128).
     refinement_points: int = from_preset()
-    # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dp3 512 1024 2048, paper
-    # 256 512 1024).
+    # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dense 128 256, dp3 512 1024
+    # 2048, paper 256 512 1024).
     down_dims: tuple[int, ...] | None = from_preset()
-    # Sampler: DDPM or DDIM (diffusion DDIM, dp3 DDIM, paper DDPM).
+    # Sampler: DDPM or DDIM (diffusion DDIM, dense DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
-    # Denoising steps per chunk at run time, at most 100 (diffusion 10, dp3 10, paper 100).
+    # Denoising steps per chunk at run time, at most 100 (diffusion 10, dense 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
     # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
     # that always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Learning rate of AdamW (fast 0.001, diffusion 0.001, dp3 0.0001, paper 0.0001).
+    # Learning rate of AdamW (fast 0.001, diffusion 0.001, dense 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
-    # Warm-up steps to the full learning rate (fast 100, diffusion 100, dp3 500, paper 500).
+    # Warm-up steps to the full learning rate (fast 100, diffusion 100, dense 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def check(self) -> None:
@@ -203,6 +222,11 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     def method(self) -> HeadMethod:
         """Fixed parts of the preset."""
         return METHODS[self.preset]
+
+    @property
+    def control(self) -> str | None:
+        """Control that the preset is for; None for any."""
+        return self.method.control
 
     @property
     def normalization_mapping(self) -> dict[str, NormalizationMode]:
@@ -220,7 +244,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 hint=f"a new training with --policy.type=dp3_adaptive --policy.preset={self.preset}",
             )
         foreign = [name for name in OPTIONS - values.keys() if getattr(self, name) is not None]
-        if self.method.frame == "base" and self.inference != Inference():
+        if self._has_unused_rules():
             foreign.append("inference")
         for name in foreign:
             others = [preset for preset in PRESETS if name in PRESETS[preset]] or ["fast", "diffusion"]
@@ -234,6 +258,11 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             if getattr(self, name) is None:
                 setattr(self, name, values.get(name))
         self.values_from = self.preset
+
+    def _has_unused_rules(self) -> bool:
+        """Whether ``inference`` switches what this preset does not have."""
+        used = self.inference if self.method.frame == "base" else replace(self.inference, memory=True)
+        return used != Inference() and not self.method.has_rules
 
     def _check_sizes(self) -> None:
         fits = all(getattr(self, name) >= 1 for name in COUNTS if name in PRESETS[self.preset])

@@ -1,7 +1,7 @@
 """The diffusion heads: LeRobot's conditional U-Net denoises a chunk of actions (paper, section 4.2 and eq. 2).
 
-`BaseDiffusionHead` is the paper's and DP3's, in the robot's base frame. `ToolDiffusionHead` works in the tool's frame,
-with contact events, redraws and refinement.
+`BaseDiffusionHead` is the paper's and DP3's, in the robot's base frame. `MemoryDiffusionHead` works in the tool's frame
+with contact events, for control rate. `ToolDiffusionHead` adds redraws and refinement, for key frames.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from lerobot_adamanip.contract.schema import (
     STATE,
     Statistics,
 )
-from lerobot_policy_adamanip.common import geometry
+from lerobot_policy_adamanip.common import geometry, strokes
 from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
@@ -190,30 +190,17 @@ class BaseDiffusionHead(DiffusionHead):
         return torch.cat(parts, dim=-1)
 
 
-class ToolDiffusionHead(ToolHead, DiffusionHead):
-    """The paper's method in the tool's frame: with a memory of contact events, redraws and refinement."""
+class MemoryDiffusionHead(ToolHead, DiffusionHead):
+    """The head for control rate: with a memory of contact events, and no rule beside the network."""
 
-    DRAWS = 8
+    MIN_MOTION = strokes.MIN_LAG_M, strokes.MIN_LAG_RAD
     memory: ContactMemory | None
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         memory = config.memory_dim if config.n_action_history_steps else 0
         condition_dim = config.encoder_out_dim + self.body_dim(config) + memory
         super().__init__(config, POINT_DIM, condition_dim, kernel_size=3, clip=4.0)
-        self.motions = TypicalMotions(config.num_anchors)
         self.memory = ContactMemory(config.memory_dim) if memory else None
-        self.refiner = self.make_refiner(config)
-
-    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns the denoising error per sample (B,) with the refiner's loss, its weight (B,), and its parts."""
-        error, weight, _ = super().loss(window, actions, is_label)
-        if self.refiner is None:
-            return error, weight, {}
-        goal = actions[:, 0]
-        index = self.motions.nearest(geometry.motion_between(goal, self.tool(window)))
-        refinement = self.refinement_loss(window, goal, index) * is_label[:, 0]
-        parts = {"denoising_loss": error.detach().mean(), "refinement_loss": refinement.detach().mean()}
-        return error + refinement, weight, parts
 
     def condition(self, window: Window, *, use_memory: bool = True) -> Tensor:
         """Returns the conditioning vector (B, C); its part of the memory is zero without a contact event."""
@@ -237,6 +224,34 @@ class ToolDiffusionHead(ToolHead, DiffusionHead):
         rotation = values[..., ROTATION_DIMS] * ROTATION_UNIT
         gripper = ((values[..., GRIPPER_DIM:] + 1) / 2).clamp(0, 1)
         return geometry.absolute_poses(torch.cat([position, rotation, gripper], dim=-1), self.tool(window)[:, None])
+
+    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
+        """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise."""
+        condition = self.condition(window, use_memory=self.config.inference.memory)
+        return self.decode(self.denoise(condition, noise), window)
+
+
+class ToolDiffusionHead(MemoryDiffusionHead):
+    """The head for key frames: with typical motions, redraws and refinement too."""
+
+    DRAWS = 8
+    MIN_MOTION = ToolHead.MIN_MOTION
+
+    def __init__(self, config: DP3AdaptiveConfig) -> None:
+        super().__init__(config)
+        self.motions = TypicalMotions(config.num_anchors)
+        self.refiner = self.make_refiner(config)
+
+    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Returns the denoising error per sample (B,) with the refiner's loss, its weight (B,), and its parts."""
+        error, weight, _ = super().loss(window, actions, is_label)
+        if self.refiner is None:
+            return error, weight, {}
+        goal = actions[:, 0]
+        index = self.motions.nearest(geometry.motion_between(goal, self.tool(window)))
+        refinement = self.refinement_loss(window, goal, index) * is_label[:, 0]
+        parts = {"denoising_loss": error.detach().mean(), "refinement_loss": refinement.detach().mean()}
+        return error + refinement, weight, parts
 
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.

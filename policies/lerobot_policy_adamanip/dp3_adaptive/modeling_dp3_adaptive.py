@@ -18,10 +18,11 @@ from lerobot.processor import NormalizerProcessorStep, create_transition
 from torch import Tensor, nn
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
-from lerobot_policy_adamanip.common import geometry, inputs
+from lerobot_policy_adamanip.common import geometry, inputs, strokes
 from lerobot_policy_adamanip.common.contacts import ChoiceMemory
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
@@ -44,6 +45,8 @@ class DP3AdaptivePolicy(CloudPolicy):
 
         executed  step t-H ... t-1      labels  step t ... t+T-1
 
+    At control rate (preset ``dense``) H counts strokes instead of steps, see `common.strokes`.
+
     At run time the history is a queue of the normalised actions that `select_action` returned, one per step. Rotations
     are orthonormalised and grippers clipped, as in recorded actions. History before the episode's start is masked, in
     training and at run time. Missing first observations repeat the first one, as LeRobot's padding does.
@@ -61,11 +64,14 @@ class DP3AdaptivePolicy(CloudPolicy):
     ):
         super().__init__(config)
         self._sees_from_tool = config.method.frame == "tool"
+        self._has_strokes = self._sees_from_tool and config.control == DENSE and config.n_action_history_steps > 0
         if self._sees_from_tool:
             config.require_poses()
         config.require_action()
         # The tool's frame needs the poses before the past actions too.
         self._observed_steps = 1 + config.n_action_history_steps if self._sees_from_tool else config.n_obs_steps
+        if self._has_strokes:
+            self._observed_steps = 1  # at least: strokes have any number of steps
         self.model = self._make_head(dataset_stats)
         # Part of the policy, so that averaged weights are saved, resumed and evaluated. It shares the configuration.
         self.ema_model = copy.deepcopy(self.model, {id(config): config}).requires_grad_(False)
@@ -73,7 +79,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._ema_count: int | None = None  # set when `update` reads the buffer
         self.register_load_state_dict_post_hook(lambda policy, _: setattr(policy, "_ema_count", None))
         self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
-        if self.recorded is not None and self._sees_from_tool:
+        if self.recorded is not None and config.method.has_rules:
             self.fit_anchors(*demonstrated_motions(self.recorded))
         self.reset()
 
@@ -83,7 +89,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         from lerobot_policy_adamanip.dp3_adaptive import diffusion  # imports diffusers
 
         if self._sees_from_tool:
-            return diffusion.ToolDiffusionHead(self.config)
+            kind = diffusion.ToolDiffusionHead if self.config.method.has_rules else diffusion.MemoryDiffusionHead
+            return kind(self.config)
         return diffusion.BaseDiffusionHead(self.config, stats)
 
     @classmethod
@@ -93,10 +100,10 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy._attach_dataset(dataset_meta, is_trained=True)
-        if policy.recorded is not None and policy._sees_from_tool:
+        if policy.recorded is not None and policy.config.method.has_rules:
             motions = policy.model.motions
             warn_of_other_motions(demonstrated_motions(policy.recorded)[0], motions.anchors, motions.spread)
-        elif policy.recorded is not None and policy.config.has_pose_layout:
+        elif policy.recorded is not None and not policy._sees_from_tool and policy.config.has_pose_layout:
             # LeRobot reads them next, for the processors of a fine-tuned policy, without calling the policy.
             dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
         return policy
@@ -110,7 +117,8 @@ class DP3AdaptivePolicy(CloudPolicy):
             return
         read_in_batches(dataset_meta)
         self.match_clouds(dataset_meta, is_trained=is_trained)
-        self.recorded, config = inputs.read_recorded_rows(dataset_meta), self.config
+        self.match_control(dataset_meta, is_trained=is_trained)
+        self.recorded, config = inputs.read_recorded_rows(dataset_meta, has_strokes=self._has_strokes), self.config
         stats = dataset_meta.stats
         if config.has_pose_layout and stats:
             stats = schema.fix_pose_statistics(stats)
@@ -165,7 +173,11 @@ class DP3AdaptivePolicy(CloudPolicy):
         if observations[schema.STATE].dim() == 2:
             observations = {key: value[:, None] for key, value in observations.items()}
         rows = recorded.rows(batch[inputs.INDEX])
-        before, valid = recorded.around(rows, range(-steps, 0))
+        if self._has_strokes:
+            starts, before, valid = recorded.strokes(rows, steps)
+        else:
+            before, valid = recorded.around(rows, range(-steps, 0))
+            starts = before
         ahead, exists = recorded.around(rows, range(self.config.horizon))
         actions = torch.cat([recorded.column(schema.EXECUTED, before), recorded.column(schema.ACTION, ahead)], dim=1)
         actions = self._prepared(batch, schema.ACTION, actions)
@@ -174,7 +186,7 @@ class DP3AdaptivePolicy(CloudPolicy):
             inputs.check_batch(self.config, batch, observations[schema.STATE], actions[:, steps], share)
             self._batch_is_checked = True
         if self._sees_from_tool and steps:
-            states = self._prepared(batch, schema.STATE, recorded.column(schema.STATE, before))
+            states = self._prepared(batch, schema.STATE, recorded.column(schema.STATE, starts))
             observations[schema.STATE] = torch.cat([states, observations[schema.STATE]], dim=1)
         is_label = exists & recorded.column(inputs.IS_LABEL, ahead)
         return Window(observations, actions[:, :steps], valid), actions[:, steps:], is_label
@@ -211,8 +223,9 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     def reset(self) -> None:
         """Clears the histories at an episode's start."""
-        self._observed: deque[dict[str, Tensor]] = deque(maxlen=self._observed_steps)
-        self._executed: deque[Tensor] = deque(maxlen=max(1, self.config.n_action_history_steps))
+        self._observed: deque[dict[str, Tensor]] = deque(maxlen=None if self._has_strokes else self._observed_steps)
+        length = None if self._has_strokes else max(1, self.config.n_action_history_steps)
+        self._executed: deque[Tensor] = deque(maxlen=length)
         self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
         self._chunks = ChunkGuard(self.name)
 
@@ -245,7 +258,7 @@ class DP3AdaptivePolicy(CloudPolicy):
 
         With a history of actions, see `ChunkGuard`. Observed steps that `select_action` has not seen repeat the first.
         """
-        observed = deque(self._observed, maxlen=self._observed_steps)
+        observed = self._observed.copy()
         observation = self._single(batch)
         if self.config.n_action_history_steps:
             self._chunks.predict(observation)
@@ -261,7 +274,12 @@ class DP3AdaptivePolicy(CloudPolicy):
         observations = {key: value[:, None] for key, value in present.items() if key not in observed[0]}
         observations |= {key: torch.stack([step[key] for step in observed], dim=1) for key in observed[0]}
         state = observations[schema.STATE]
-        window = Window(observations, *self.executed_history(len(state), state))
+        if self._has_strokes:
+            commands = torch.stack([state[:, 0, : schema.ACTION_DIM], *self._executed], dim=1)[:, 1:]
+            history, states, valid = strokes.merged(commands, state, self.config.n_action_history_steps)
+            window = Window({**observations, schema.STATE: states}, history, valid)
+        else:
+            window = Window(observations, *self.executed_history(len(state), state))
         return self._active_model().sample(window, noise)
 
     def executed_history(self, batch_size: int, like: Tensor) -> tuple[Tensor, Tensor]:

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import Past, surely_none
+from lerobot_policy_adamanip.common.contacts import MIN_SHIFT_M, MIN_TURN_RAD, Past, surely_none
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.common.inputs import Window
@@ -73,6 +73,8 @@ class ToolHead(nn.Module):
 
     DRAWS: ClassVar[int]
     """Maximum number of draws of an action, if the drawn ones cannot be used."""
+    MIN_MOTION: ClassVar = (MIN_SHIFT_M, MIN_TURN_RAD)
+    """Least motion of a contact event [m, rad]."""
     config: DP3AdaptiveConfig
     motions: TypicalMotions
     refiner: Refiner | None
@@ -94,10 +96,10 @@ class ToolHead(nn.Module):
         return window.observations[STATE][:, -1, :ACTION_DIM].float()
 
     def past(self, window: Window) -> Past:
-        """Returns the past key frames."""
+        """Returns the past key frames, or at control rate strokes."""
         commands = window.history.float()
         states = window.observations[STATE][:, -commands.shape[1] - 1 :, :ACTION_DIM]
-        return Past(commands, states.float(), window.valid)
+        return Past(commands, states.float(), window.valid, self.MIN_MOTION)
 
     def point_inputs(self, window: Window) -> Tensor:
         """Returns features (B, N, 6) of the present cloud; in training of a random subset, with noise."""

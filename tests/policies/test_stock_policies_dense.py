@@ -1,0 +1,121 @@
+"""What docs/lerobot_policies.md says of control rate: its commands run as typed, without Vulkan, with fewer steps."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import pytest
+from documents import ROOT, commands
+
+from lerobot_adamanip.contract import schema
+
+pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("no_vulkan")]
+PAGE = "docs/lerobot_policies.md"
+MODULES = {
+    "adamanip": "lerobot_adamanip.cli.main",
+    "lerobot-train": "lerobot.scripts.lerobot_train",
+    "lerobot-eval": "lerobot.scripts.lerobot_eval",
+}
+FEW = ("--workers=1", "--episodes-per-object=1", "--objects=0:2")
+SHORT = ("--policy.device=cpu", "--env.episode_length=12", "--eval.n_episodes=1", "--eval.batch_size=1")
+TRAINING = (*SHORT, "--batch_size=2", "--steps=2", "--log_freq=1", "--num_workers=0", "--env_eval_freq=2")
+UNET = ("--policy.down_dims=[16,32]", "--policy.num_inference_steps=2")
+CLOUDS = ("--policy.encoder_dims=[16,16]", "--policy.encoder_out_dim=16", *UNET)
+POLICIES = {
+    "bottles_act": (
+        "--policy.dim_model=16", "--policy.n_heads=2", "--policy.dim_feedforward=16", "--policy.n_encoder_layers=1",
+        "--policy.n_vae_encoder_layers=1", "--policy.latent_dim=4",
+    ),
+    "bottles_diffusion": ("--policy.n_groups=4", *UNET),
+    "clouds_dense": CLOUDS,
+    "clouds_dp3": CLOUDS,
+}  # fmt: skip
+"""Folder of a documented training -> the options that make its policy tiny."""
+
+
+def documented(program: str, mark: str) -> list[str]:
+    """The page's command of a program that says ``mark``."""
+    pages = [param.values[0] for param in commands(program) if param.id.startswith(PAGE)]
+    (words,) = (words for words in pages if any(re.search(rf"{mark}(?!\w)", word) for word in words))
+    return words
+
+
+def run(words: list[str], folder: Path, *changes: str) -> str:
+    """Runs a command with some of its options changed, as a user starts it; returns its output."""
+    names = {change.partition("=")[0] for change in changes}
+    kept, skips = [], False
+    for word in words[1:]:  # options of adamanip have their value in the next word
+        if skips and not word.startswith("--"):
+            continue
+        skips = word in names
+        kept += [] if word.partition("=")[0] in names else [word]
+    paths = os.pathsep.join([str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")])
+    done = subprocess.run(
+        [sys.executable, "-m", MODULES[words[0]], *kept, *changes],
+        env={**os.environ, "PYTHONPATH": paths},
+        cwd=folder,
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr[-4000:]
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Where the page's demonstrations are: ``outputs/bottles`` and ``outputs/clouds``."""
+    return tmp_path_factory.mktemp("page")
+
+
+def collected(folder: Path, name: str) -> Path:
+    root = folder / "outputs" / name
+    if not root.exists():
+        run(documented("adamanip", f"outputs/{name}"), folder, *FEW)
+    return root
+
+
+def train(folder: Path, name: str) -> Path:
+    """Trains as the page says, with an evaluation in the training; returns the checkpoint."""
+    collected(folder, name.partition("_")[0])
+    checkpoint = folder / "outputs" / name / "checkpoints" / "last" / "pretrained_model"
+    if not checkpoint.exists():
+        output = run(documented("lerobot-train", f"outputs/{name}"), folder, *POLICIES[name], *TRAINING)
+        assert "pc_success" in output
+    return checkpoint
+
+
+def test_act_trains_and_is_evaluated(folder: Path) -> None:
+    checkpoint = train(folder, "bottles_act")
+    config = json.loads((checkpoint / "config.json").read_text())
+    shapes = {name: feature["shape"] for name, feature in config["input_features"].items()}
+    picture = [3, 96, 96]
+    expected = {"observation.images.front": picture, "observation.images.wrist": picture, schema.STATE: [8]}
+    assert shapes == expected
+    run(documented("lerobot-eval", "outputs/bottles_act"), folder, *SHORT)
+    (line,) = (folder / "outputs" / "bottles_act.jsonl").read_text().splitlines()
+    assert json.loads(line)["split"] == "test"
+
+
+@pytest.mark.nightly
+@pytest.mark.parametrize("name", ["bottles_diffusion", "clouds_dense", "clouds_dp3"])
+def test_other_policies_train_and_are_evaluated(folder: Path, name: str) -> None:
+    assert train(folder, name).exists()
+
+
+@pytest.mark.nightly
+def test_a_stock_policy_is_corrected(folder: Path) -> None:
+    train(folder, "bottles_act")
+    run(documented("adamanip", "outputs/corrected"), folder, *FEW)
+    table = pq.read_table(sorted((folder / "outputs" / "corrected" / "data").glob("*/*.parquet")))
+    labels, sent = (np.array(table[key].to_pylist()) for key in (schema.ACTION, schema.EXECUTED))
+    assert labels.shape[1] == 7
+    assert 0.05 < (labels == sent).all(axis=1).mean() < 0.8
