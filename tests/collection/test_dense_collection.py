@@ -11,7 +11,7 @@ import demos_fake_env
 import numpy as np
 import pytest
 from demos_helpers import patiently, same_bytes
-from dense_demos import DENSE_FAKES, FULL, collect_dense, dense_spec, make_dense_env
+from dense_episodes import DENSE_FAKES, FULL, collect_dense, dense_spec, make_dense_env
 
 from lerobot_adamanip.cli.main import main, parse_command
 from lerobot_adamanip.collection.collect import collect

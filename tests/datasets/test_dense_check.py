@@ -10,7 +10,7 @@ import check_damages as to
 import pytest
 from check_damages import DATA, Damage
 from demos_helpers import InThisProcess
-from dense_demos import FULL, collect_dense
+from dense_episodes import FULL, collect_dense
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES

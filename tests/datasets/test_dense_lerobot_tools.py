@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from demos_helpers import InThisProcess
-from dense_demos import FULL, collect_dense
+from dense_episodes import FULL, collect_dense
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.dataset import CAMERAS, check
