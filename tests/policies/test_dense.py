@@ -204,7 +204,7 @@ def test_data_without_clouds_name_the_options_that_record_them(refuses: Any) -> 
     config.input_features |= {
         schema.STATE: PolicyFeature(FeatureType.STATE, (24,)),
         schema.POINT_CLOUD: PolicyFeature(FeatureType.ENV, (3072,)),
-    }  # fmt: skip
+    }
     config.output_features = {schema.ACTION: PolicyFeature(FeatureType.ACTION, (7,))}
     config.validate_features()
     assert "--action ee_pose" in refuses(ConfigurationError, config.require_poses)

@@ -16,7 +16,7 @@ from documents import ROOT, commands
 
 from lerobot_adamanip.contract import schema
 
-pytestmark = [pytest.mark.sim, pytest.mark.usefixtures("no_vulkan")]
+pytestmark = [pytest.mark.sim, pytest.mark.nightly, pytest.mark.usefixtures("no_vulkan")]
 PAGE = "docs/lerobot_policies.md"
 MODULES = {
     "adamanip": "lerobot_adamanip.cli.main",
@@ -105,13 +105,11 @@ def test_act_trains_and_is_evaluated(folder: Path) -> None:
     assert json.loads(line)["split"] == "test"
 
 
-@pytest.mark.nightly
 @pytest.mark.parametrize("name", ["bottles_diffusion", "clouds_dense", "clouds_dp3"])
 def test_other_policies_train_and_are_evaluated(folder: Path, name: str) -> None:
     assert train(folder, name).exists()
 
 
-@pytest.mark.nightly
 def test_a_stock_policy_is_corrected(folder: Path) -> None:
     train(folder, "bottles_act")
     run(documented("adamanip", "outputs/corrected"), folder, *FEW)
