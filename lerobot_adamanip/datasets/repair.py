@@ -64,9 +64,13 @@ class Repair:
     def replace(self, path: Path, content: Mapping[str, Any], what: str) -> None:
         """Writes a JSON file, after copying the old one into the backup."""
         if path.exists():
-            self._back_up(path, shutil.copy2)
+            self.back_up(path)
         files.write_atomically(path, (json.dumps(content, indent=4) + "\n").encode())
         self._note(path, what)
+
+    def back_up(self, path: Path) -> None:
+        """Copies a file into the backup, before it is changed."""
+        self._back_up(path, shutil.copy2)
 
     def _back_up(self, path: Path, move: Callable[[Path, Path], object]) -> None:
         place = self.backup / path.relative_to(self.root)
