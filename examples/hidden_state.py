@@ -29,8 +29,8 @@ def main() -> None:
     other, _ = env.reset(seed=seed, options={"hidden_overrides": {"locked": False}})
     for number, frame in enumerate(seen):
         same = all(np.array_equal(frame.observation[key], other[key]) for key in ("point_cloud", "agent_pos", "effort"))
-        told = "the same to the bit" if same else "they differ"
-        print(f"before key frame {number}, {frame.goal.phase.name}: {told}", flush=True)
+        verdict = "the same to the bit" if same else "they differ"
+        print(f"before key frame {number}, {frame.goal.phase.name}: {verdict}", flush=True)
         if not same:
             break
         other, _, _, _, _ = env.step(frame.goal.action())

@@ -1,4 +1,4 @@
-"""Which objects there are: ids, selections of them, and the object an id stands for, generated or external.
+"""Catalog of objects, generated and external: ids, selections of ids, and the object of an id.
 
 Generated objects come in three splits: *seen* (``safe_000`` ... ``safe_035``: demonstrations are collected on them),
 *unseen* (higher numbers: new draws of the same kinds) and *novel* (``safe_n000`` and up: kinds, combinations and
@@ -24,7 +24,7 @@ if TYPE_CHECKING:  # assets and objects need scipy, and a command checks its ids
 SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
 UNSEEN_COUNT = 20
-"""Unseen, and novel, objects per category that ``unseen`` and ``novel`` stand for."""
+"""Number of objects per category in each of the selections ``unseen`` and ``novel``."""
 ObjectSplit = Literal["seen", "unseen", "novel"]
 
 
@@ -41,7 +41,7 @@ def object_id(category: str, number: int, *, novel: bool = False) -> str:
 def parse_object_id(identifier: str) -> tuple[str, int]:
     """Returns ("safe", 7) for ``safe_007`` and for ``safe_n007``; raises `ConfigurationError` for anything else.
 
-    Which split it belongs to is told by `object_split`, not by the number.
+    The number does not say which split the object belongs to: see `object_split`.
     """
     match = re.fullmatch(r"([a-z_]+)_n?([0-9]{3}|[1-9][0-9]{3,5})", identifier)  # one object, one id
     if match is None or match[1] not in CATEGORIES:
@@ -55,10 +55,10 @@ def parse_object_id(identifier: str) -> tuple[str, int]:
 
 
 def object_split(identifier: str) -> ObjectSplit | None:
-    """Returns the split of a generated object; None for an external asset, which is of none.
+    """Returns the split of a generated object; None for an external asset.
 
     Raises:
-        ConfigurationError: the id is none.
+        ConfigurationError: it is not an object id.
     """
     if is_asset_id(identifier):
         return None
@@ -78,12 +78,12 @@ def make_object(identifier: str) -> ArticulatedObject:
     category, number = parse_object_id(identifier)
     novel = _is_novel(identifier)
     generator = importlib.import_module(f"lerobot_adamanip.objects.{category}")
-    made: ArticulatedObject = getattr(generator, f"make_{'novel_' if novel else ''}{category}")(number)
-    return made
+    result: ArticulatedObject = getattr(generator, f"make_{'novel_' if novel else ''}{category}")(number)
+    return result
 
 
 def seen_objects(category: str) -> tuple[str, ...]:
-    """Returns the ids of the paper's count of objects, those that demonstrations are collected on."""
+    """Returns the ids of the seen objects, as many as in the paper; demonstrations are collected on them."""
     count = SEEN_COUNTS[require_choice("category", category, categories())]
     return tuple(object_id(category, number) for number in range(count))
 
@@ -103,7 +103,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     """Returns object ids for a selection.
 
     Args:
-        category: of the objects.
+        category: category of the objects.
         selection: ``seen``, ``unseen``, ``novel``, ``0:4`` (a range of numbers; of novel ones, ``n0:n4``), or
             ``safe_000,safe_n007``.
 

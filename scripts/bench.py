@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import json
 import logging
 import os
@@ -29,6 +30,7 @@ from torch.utils.data import DataLoader, RandomSampler
 from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.cli.collect import factories
 from lerobot_adamanip.collection.collect import CollectOptions, collect
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.observation import workspace_cloud
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
@@ -37,16 +39,21 @@ from lerobot_adamanip.datasets.dataset import open_dataset
 from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
 from lerobot_adamanip.episode.rollout import next_goal
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
+from lerobot_env_adamanip.sim.render_device import can_render
 from lerobot_env_adamanip.simulator import make_task
 from lerobot_policy_adamanip import DP3AdaptiveConfig
 
 CATEGORY, OBJECTS, SEED = "safe", 4, 2025
+IMAGE_PIXELS = 128
+"""Side length of measured images."""
 WORKERS, BATCH_SIZE, STEPS_PER_REPEAT = 2, 64, 20
 PRESETS = ("diffusion", "fast")
 """Compared presets of dp3_adaptive."""
 LIMITS = {
     "episodes_per_minute": ("at least", 8.0),
     "observation_ms.raycast": ("at most", 15.0),
+    "image_ms.raycast.front": ("at most", 15.0),
+    "image_ms.raycast.wrist": ("at most", 15.0),
     "action_ms.fast.batch_1": ("at most", 100.0),
 }
 """Expected values on two CPU cores without a GPU."""
@@ -101,6 +108,27 @@ def observation_ms(source: str, repeats: int) -> float:
                 times.append(1e3 * (time.perf_counter() - begin))
                 goal = next_goal(expert, feedback)
     return round(statistics.median(times[1:]), 3)
+
+
+def image_ms(repeats: int) -> dict[str, float]:
+    """Returns the median time of an image of `IMAGE_PIXELS` per source and camera [ms], with the hand at the part.
+
+    ``times_as_fast`` is the ratio of both sources over both cameras. Without a renderer there is ray casting alone.
+    """
+    options = EnvironmentOptions(CATEGORY, object_id(CATEGORY, 0), image_size=IMAGE_PIXELS)
+    with contextlib.closing(make_task(CATEGORY, options=options, shader="minimal")) as task:
+        task.reset(seed=SEED)
+        expert = factories().expert(CATEGORY, "adaptive", task.placement.annotations, generator=np.random.default_rng())
+        task.execute(next(expert).action())
+        draw: dict[str, Callable[[str], object]] = {"raycast": task.cameras.raycast_image}
+        if can_render():
+            draw["render"] = task.cameras.rendered_image
+        times = median_ms(
+            {f"{source}.{name}": functools.partial(take, name) for source, take in draw.items() for name in CAMERAS},
+            repeats,
+        )
+    sums = [sum(times[f"{source}.{name}"] for name in CAMERAS) for source in draw]
+    return times if len(sums) == 1 else {**times, "times_as_fast": round(sums[1] / sums[0], 2)}
 
 
 def policies(root: Path, device: str, repeats: int) -> dict[str, Any]:
@@ -175,6 +203,7 @@ def measure(device: str, quick: bool) -> dict[str, Any]:
             lambda: collect_demonstrations(root, 1 if quick else 2),
             lambda: {"steps_per_second": steps_per_second(3 * repeats)},
             lambda: {"observation_ms": {source: observation_ms(source, 3 * repeats) for source in CLOUD_SOURCES}},
+            lambda: {"image_ms": image_ms(9 * repeats)},
             lambda: policies(root, device, repeats),
         )
         for part in parts:
@@ -183,6 +212,7 @@ def measure(device: str, quick: bool) -> dict[str, Any]:
     values = {
         "episodes_per_minute": results["episodes_per_minute"],
         "observation_ms.raycast": results["observation_ms"]["raycast"],
+        **{f"image_ms.raycast.{name}": results["image_ms"][f"raycast.{name}"] for name in CAMERAS},
         "action_ms.fast.batch_1": results["action_ms"]["fast.batch_1"],
     }
     results["limits"] = {

@@ -82,13 +82,13 @@ def list_of(allowed: tuple[str, ...] | None) -> Callable[[str], tuple[str, ...]]
 
 def parser(description: str | None, *, seeds: int, first_seed: int) -> argparse.ArgumentParser:
     """Returns a command line with options for categories, seeds, processes and JSON."""
-    made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
-    made.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="category, or all (%(default)s)")
-    made.add_argument("--seeds", type=count, default=seeds, help="scenes per category (%(default)s)")
-    made.add_argument("--first-seed", type=count, default=first_seed, help="seed of the first scene (%(default)s)")
-    made.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
-    made.add_argument("--json", action="store_true", help="print JSON instead of text")
-    return made
+    options = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+    options.add_argument("--category", choices=(*CATEGORIES, ALL), default=ALL, help="category, or all (%(default)s)")
+    options.add_argument("--seeds", type=count, default=seeds, help="scenes per category (%(default)s)")
+    options.add_argument("--first-seed", type=count, default=first_seed, help="seed of the first scene (%(default)s)")
+    options.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
+    options.add_argument("--json", action="store_true", help="print JSON instead of text")
+    return options
 
 
 def run_seeds[Result](

@@ -27,7 +27,9 @@ from check_common import count, header, in_batches, list_of, run_parallel
 
 from lerobot_adamanip.catalog import category_of, object_split, parse_object_selection
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, KEYFRAME
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
+from lerobot_adamanip.episode.dense import dense_rollout
 from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate, success_summary, wilson_interval
@@ -44,7 +46,11 @@ SPLITS, EXPERTS = ("seen", "unseen", "novel"), ("adaptive", "static")
 
 @dataclass(frozen=True)
 class Episode:
-    """An episode and, after its run, its result. ``key_frames``: until success; ``placed``: whether a scene exists."""
+    """An episode and, after its run, its result.
+
+    ``action``: of dense control, or ``keyframe``. ``key_frames``: key frames or dense steps until success; ``placed``:
+    whether a scene exists.
+    """
 
     mechanism_rules: str
     category: str
@@ -52,6 +58,7 @@ class Episode:
     split: str
     object_id: str
     seed: int
+    action: str = KEYFRAME
     placed: bool = True
     success: bool = False
     key_frames: int = 0
@@ -87,6 +94,8 @@ def run_batch(episodes: list[Episode]) -> list[Episode]:
     from lerobot_env_adamanip.simulator import make_task
 
     warnings.filterwarnings("ignore")
+    if episodes[0].action != KEYFRAME:
+        return run_dense_batch(episodes)
     with contextlib.closing(make_task(episodes[0].category, mechanism_rules=episodes[0].mechanism_rules)) as task:
         return [_run(task, episode) for episode in episodes]
 
@@ -110,6 +119,37 @@ def _run(task: Any, episode: Episode) -> Episode:
     joints = {name: round(position, 3) for name, position in task.simulation.joint_positions().items()}
     reason = "" if result.success else f"{result.reason}; joints {joints}"
     return replace(episode, success=result.success, key_frames=env.opened_after, hidden=hidden, reason=reason)
+
+
+def run_dense_batch(episodes: list[Episode]) -> list[Episode]:
+    """Runs episodes of one set of mechanism rules, category and kind of action at control rate."""
+    from lerobot_env_adamanip.dense_env import DenseEnv
+
+    first, finished = episodes[0], []
+    rules, action = first.mechanism_rules, first.action
+    with contextlib.closing(
+        DenseEnv(first.category, mechanism_rules=rules, action=action, observe_images=False)
+    ) as env:
+        for episode in episodes:
+            try:
+                env.reset(seed=episode.seed, options={"object_id": episode.object_id})
+            except UnreachableError as error:
+                finished.append(replace(episode, placed=False, reason=str(error).splitlines()[0]))
+                continue
+            hidden = env.hidden_state()
+            expert = make_expert(
+                episode.category,
+                episode.kind,
+                env.annotations,
+                generator=np.random.default_rng(episode.seed),
+                hidden=hidden if episode.kind == "static" else None,
+                mechanism_rules=rules,
+            )
+            result = dense_rollout(env, {}, expert)
+            steps = env.episode_record()["key_frames"]
+            reason = "" if result.success else result.reason
+            finished.append(replace(episode, success=result.success, key_frames=steps, hidden=hidden, reason=reason))
+    return finished
 
 
 Run = Callable[[list[Episode], int], list[Episode]]
@@ -139,7 +179,8 @@ def plan(options: argparse.Namespace) -> list[Episode]:
         for number in range(options.episodes):
             # Spread over the objects. Small categories repeat objects with other seeds.
             chosen = objects[number * len(objects) // options.episodes % len(objects)]
-            episodes += [Episode(rules, category, kind, split, chosen, first_seed + number) for kind in options.experts]
+            place = (split, chosen, first_seed + number, options.action)
+            episodes += [Episode(rules, category, kind, *place) for kind in options.experts]
     return episodes
 
 
@@ -234,6 +275,9 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     line.add_argument("--experts", type=list_of(EXPERTS), default=EXPERTS, help="experts separated by commas")
     rules = tuple(MECHANISM_RULES)
     line.add_argument("--mechanism-rules", type=list_of(rules), default=("paper",), help="rules separated by commas")
+    line.add_argument(
+        "--action", choices=(KEYFRAME, *ACTION_NAMES), default=KEYFRAME, help="keyframe, or a dense action"
+    )
     line.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
     line.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
     line.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")

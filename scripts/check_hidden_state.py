@@ -2,7 +2,7 @@
 
 For each category, the adaptive expert grasps an object on equal seeds under two hidden states (three for a lamp).
 State, effort and all joints of arm and object must be bit-identical in every frame until the part is held. The cloud
-and the image of the last frame must be bit-identical, too.
+and all images of the first and last frame must be bit-identical, too.
 
 ``--plain`` moves the open hand to the part by ManiSkill's own control instead, and compares until the first try.
 
@@ -19,6 +19,7 @@ import numpy as np
 from check_common import parser, print_reports, run_seeds
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import Phase
 from lerobot_adamanip.contract.observation import state_vector
@@ -46,19 +47,29 @@ def frames_until_held(
 ) -> list[Frame]:
     """Lets the adaptive expert grasp the first part. Returns all data at reset and after each key frame.
 
-    Only the last frame has ``cloud`` (M, 3) [m, base frame] and, if requested, ``image`` (H, W, 3), and only if
-    ``look`` is set.
+    If ``look`` is set, the first and last frames have ``cloud`` (M, 3) [m, base frame] and the images (H, W, 3) of all
+    cameras, drawn by ray casting and, with ``image``, by the renderer.
     """
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
     expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
     frames, goal = [frame(task)], next(expert)
+    if look:
+        frames[0] |= seen(task, image=image)
     while goal.phase in (Phase.APPROACH, Phase.GRASP):
         felt = task.execute(goal.action())
         frames.append(frame(task))
         goal = expert.send(felt)
     if look:
-        frames[-1].update(cloud=task.cameras.points(), **({"image": task.cameras.image()} if image else {}))
+        frames[-1] |= seen(task, image=image)
     return frames
+
+
+def seen(task: Any, *, image: bool) -> Frame:
+    """Returns the cloud and the images of all cameras, by ray casting and, with ``image``, by the renderer."""
+    cameras = task.cameras
+    pictures = {f"raycast {name}": cameras.raycast_image(name) for name in CAMERAS}
+    pictures |= {f"render {name}": cameras.rendered_image(name) for name in CAMERAS} if image else {}
+    return {"cloud": cameras.points(), **pictures}
 
 
 def frames_until_tried(task: Any, seed: int, hidden: dict[str, Any]) -> list[Frame]:

@@ -1,10 +1,10 @@
-"""Checks that no joint moves, is released or tells its state without a labelled try, whatever the hand does.
+"""Checks that no joint moves, is released or reveals its state without a labelled try, for any motion of the hand.
 
 Random hands (open, half open or closed; at a part, near it or far away) move at random, under two hidden states (three
 for a lamp). A joint without a try must be held and must not have moved. All numbers of arm and object must be
 bit-identical under every hidden state until a joint is tried. Returns 1 if a category fails. For example:
 
-    python scripts/check_tries.py --category all --seeds 400 --workers 2      # 2,000 hands a category
+    python scripts/check_tries.py --category all --seeds 400 --workers 2      # 2,000 hands per category
 """
 
 from __future__ import annotations
@@ -35,8 +35,8 @@ PLACES = {"at": (0.004, 0.05), "near": (0.03, 0.3), "far": (0.25, 1.0)}
 WAY, TURN = 0.06, 0.6
 """Standard deviations of a hand's motion [m, rad]."""
 MAX_GIVING_SHARE = 0.25
-"""Share of `MIN_JOINT_MOTION` by which a held joint may give way, under every hidden state alike: PhysX's limits yield
-a little to a hand that crushes a part (up to 0.002 rad)."""
+"""Largest allowed motion of a held joint, as a share of `MIN_JOINT_MOTION`. PhysX's limits yield up to 0.002 rad to
+a hand that crushes a part, equally under every hidden state."""
 
 
 @dataclass

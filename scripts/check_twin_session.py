@@ -69,8 +69,8 @@ class Session:
 
 def lines_of(log: Path) -> list[dict[str, Any]]:
     """Returns the episodes of a twin's log, with the last line per number."""
-    found = [parse(line) for line in log.read_text(encoding="utf-8").splitlines()]
-    return list({line["episode"]: line for line in found}.values())
+    lines = [parse(line) for line in log.read_text(encoding="utf-8").splitlines()]
+    return list({line["episode"]: line for line in lines}.values())
 
 
 def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]]:
@@ -169,8 +169,8 @@ def accepted_targets(recorded: Path, converted: Path) -> bool:
     """Returns whether each key frame's action equals, in float32, a target that the arm accepted in its episode."""
     dense = rows_of(recorded, ARM, "episode_index")
     sent = dense[ARM][:, [ARM_NAMES.index(name) for name in SENT_NAMES]].astype(np.float32)
-    made, origin = rows_of(converted, schema.ACTION, schema.DONE, "episode_index"), origins_of(converted)
-    for action, done, episode in zip(*made.values(), strict=True):
+    rows, origin = rows_of(converted, schema.ACTION, schema.DONE, "episode_index"), origins_of(converted)
+    for action, done, episode in zip(*rows.values(), strict=True):
         accepted = sent[dense["episode_index"] == origin[int(episode)]]
         pose = np.asarray(action, np.float32)[: schema.GRIPPER_DIM]
         if not done and not (accepted[:, : schema.GRIPPER_DIM] == pose).all(axis=1).any():
@@ -191,14 +191,14 @@ def played_again(converted: Path, seeds: Mapping[int, int]) -> tuple[int, int]:
     """Plays each converted episode in its scene. Returns (number of opened doors, number of episodes)."""
     from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
-    made = rows_of(converted, schema.ACTION, schema.DONE, "episode_index")
+    rows = rows_of(converted, schema.ACTION, schema.DONE, "episode_index")
     env = KeyframeEnv("microwave", split="test", observe_images=False)
     opened, origins = 0, origins_of(converted)
     try:
         for episode, origin in enumerate(origins):
-            mine = (made["episode_index"] == episode) & ~made[schema.DONE].astype(bool).ravel()
+            is_sent = (rows["episode_index"] == episode) & ~rows[schema.DONE].astype(bool).ravel()
             env.reset(seed=seeds[origin])
-            for action in made[schema.ACTION][mine]:
+            for action in rows[schema.ACTION][is_sent]:
                 _, _, success, truncated, _ = env.step(np.asarray(action, np.float32))
                 if success or truncated:
                     break

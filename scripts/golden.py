@@ -19,7 +19,7 @@ from golden_values import ALL, Golden  # noqa: E402  (helpers of tests)
 
 
 def compare(golden: Golden, *, write: bool) -> list[str]:
-    """Returns what differs, a line each; with ``write``, stores the values if the version allows it."""
+    """Returns the differences, one line each. With ``write``, stores the values if the version allows it."""
     values = {}
     for name, compute in golden.compute.items():
         values[name] = json.loads(json.dumps(compute()))

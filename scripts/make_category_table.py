@@ -118,9 +118,9 @@ def _experts() -> list[str]:
     )
     lines += ["| category | `paper` | `upstream` | `to_stop` |", "|---|---|---|---|"]
     for name, expert in EXPERTS.items():
-        if (theirs := expert.others.get("upstream")) is not None:
+        if (upstream := expert.others.get("upstream")) is not None:
             first = "after any turn" if name in ("window", "door") else "first, or after any turn"
-            angle = math.degrees(theirs.not_before)
+            angle = math.degrees(upstream.not_before)
             lines.append(f"| `{name}` | {first} | not before {angle:.0f}° | at the felt stop |")
     return lines
 

@@ -60,8 +60,8 @@ def benchmark_reports(folder: Path) -> Iterator[BenchmarkReport]:
 
 def entries(folder: Path) -> dict[str, list[ResultFile]]:
     """Returns name -> result files of the leaderboard's entries; raises `DatasetError` if one is incomplete."""
-    found = {path.name: list(read_results(path).values()) for path in sorted((folder / "leaderboard").glob("*/"))}
-    for name, results in found.items():
+    others = {path.name: list(read_results(path).values()) for path in sorted((folder / "leaderboard").glob("*/"))}
+    for name, results in others.items():
         if lacking := list(problems(results)):
             raise DatasetError(
                 "Not an entry of the leaderboard.",
@@ -74,7 +74,7 @@ def entries(folder: Path) -> dict[str, list[ResultFile]]:
     ]
     results = read_results(folder / "benchmark" / "test")
     ours = [one for name, one in results.items() if re.fullmatch(rf"corrected-.*-{TRAINING_SEED}\.json", name)]
-    return {"dp3_adaptive (this project)": ours, **found} if ours and not any(problems(ours)) else found
+    return {"dp3_adaptive (this project)": ours, **others} if ours and not any(problems(ours)) else others
 
 
 def documents(folder: Path) -> dict[Path, str]:
@@ -95,8 +95,8 @@ def csv_lines(name: str, result: ResultFile) -> Iterator[dict[str, object]]:
     """Yields the labels and metrics of each row of a result file."""
     for row in result.rows:
         labels = {"subject": row.subject, "mechanism_rules": row.mechanism_rules}
-        made = {"result": name, "simulation_version": result.simulation_version}
-        yield {**made, **labels, "category": row.category, "objects": row.objects, **row.metrics.columns()}
+        origin = {"result": name, "simulation_version": result.simulation_version}
+        yield {**origin, **labels, "category": row.category, "objects": row.objects, **row.metrics.columns()}
 
 
 def results_page(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkReport]) -> str:
@@ -140,9 +140,9 @@ def _mean(rows: Iterable[ResultRow | None]) -> float | None:
 def _source(name: str, result: ResultFile) -> str:
     commit = f"{f'commit {result.commit[:10]}' if result.commit else 'no commit'}{' with changes' * result.changed}"
     duration = "" if result.seconds is None else f", {duration_text(result.seconds)}"
-    made = f"{commit}, version {result.version}, simulation version {result.simulation_version}"
+    origin = f"{commit}, version {result.version}, simulation version {result.simulation_version}"
     scenes = f"{_scenes(result)}, seeds {result.seeds[0]} to {result.seeds[1]}"
-    return f"`{result.command}`; {made}; {scenes}; {machine_text(result.machine)}{duration}. From `results/{name}`."
+    return f"`{result.command}`; {origin}; {scenes}; {machine_text(result.machine)}{duration}. From `results/{name}`."
 
 
 def _scenes(result: ResultFile) -> str:

@@ -1,7 +1,7 @@
 """Publishes a benchmark's policies, their training data and the environments: ``make publish USER=you``.
 
-Of each category: the dataset of a method's last training, and its checkpoint, whose card has the results on seen,
-unseen and novel objects. After an interruption, the same command resumes. For example:
+For each category: the dataset of a method's last training, and its checkpoint. The checkpoint's card has the results
+on seen, unseen and novel objects. After an interruption, the same command resumes. For example:
 
     adamanip benchmark --config lerobot_adamanip/benchmark/default_policy.toml --scale test --methods corrected
     python scripts/publish.py --user you --dry-run
@@ -43,7 +43,7 @@ def result_paths(root: Path, method: str, category: str, seed: int) -> tuple[Pat
 
 
 def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
-    """Yields what is to be published."""
+    """Yields the publications: dataset and checkpoint of each category, then the environments."""
     shared = {"private": options.private, "dry_run": options.dry_run}
     for category in options.categories:
         results = result_paths(options.benchmark, options.method, category, options.seed)

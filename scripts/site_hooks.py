@@ -59,18 +59,18 @@ def on_files(files: Files, config: MkDocsConfig) -> Files:
     root = Path(config.config_file_path).parent
     for file in chain(reference_pages(config), option_pages(config)):
         files.append(file)
-    wanted = [home(file.src_uri) for file in files.documentation_pages()]
-    wanted += ["README.md", *(home(entry) for entry in entries(config.nav or []) if entry.startswith(f"{OUTSIDE}/"))]
+    waiting = [home(file.src_uri) for file in files.documentation_pages()]
+    waiting += ["README.md", *(home(entry) for entry in entries(config.nav or []) if entry.startswith(f"{OUTSIDE}/"))]
     seen: set[str] = set()
-    while wanted:
-        path = wanted.pop()
+    while waiting:
+        path = waiting.pop()
         if path in seen or not (root / path).is_file():
             continue
         seen.add(path)
         if not path.startswith("docs/"):
             files.append(page_of(root, path, config))
         if path.endswith(".md"):
-            wanted += filter(None, (resolve(root, path, each) for each in targets((root / path).read_text("utf-8"))))
+            waiting += filter(None, (resolve(root, path, each) for each in targets((root / path).read_text("utf-8"))))
     pages = [file.src_uri for file in files.documentation_pages()]
     config.nav = arrange(config.nav or [], pages)
     return files

@@ -106,9 +106,9 @@ def make_environment(folder: Path, wheel: Path, options: argparse.Namespace) -> 
         return share_packages(folder, wheel)
     venv.create(folder, with_pip=True)
     python = folder / "bin" / "python"
-    wanted = f"{wheel.resolve()}[{options.extras}]" if options.extras else str(wheel.resolve())
+    requirement = f"{wheel.resolve()}[{options.extras}]" if options.extras else str(wheel.resolve())
     pinned = ["-c", str(options.constraints.resolve())] if options.constraints else []
-    run([str(python), "-m", "pip", "install", "--quiet", "--no-input", wanted, *pinned], folder)
+    run([str(python), "-m", "pip", "install", "--quiet", "--no-input", requirement, *pinned], folder)
     return python
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from lerobot.configs.types import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 
-from lerobot_adamanip.contract.cameras import CAMERAS, image_column
+from lerobot_adamanip.contract.cameras import camera_names, image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
@@ -71,10 +71,16 @@ class AdaManipEnvConfig(EnvConfig):
     assets: str | None = None
     # Points in observation.point_cloud, in farthest-point order: a policy with fewer points uses the first ones.
     num_points: int = DEFAULT_NUM_POINTS
-    # Side length of the front image [px].
+    # Side length of an image [px].
     image_size: int = IMAGE_SIZE
-    # Whether to observe the front image: true, false, or unset (if this machine renders). Faster if false.
+    # Whether to observe images: true, false, or unset (if their source works on this machine). Faster if false.
     observe_images: bool | None = None
+    # Cameras of the images: '[front,wrist]'; unset for all in dense control and front alone in key frames.
+    cameras: list[str] | None = None
+    # Names of these cameras in observations, in the same order, as a checkpoint has them: '[camera1,camera2]'.
+    camera_names: list[str] | None = None
+    # Source of images: raycast (any machine) or render (needs Vulkan); unset for raycast in dense control.
+    image_source: str | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
     # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
@@ -101,9 +107,9 @@ class AdaManipEnvConfig(EnvConfig):
     logged_seeds: tuple[int, int] | None = None
     # Label of these episodes in the log, for instance the policy's name.
     run_label: str | None = None
-    # Set by itself: shapes of observations and action.
+    # Set automatically: shapes of observations and action.
     features: dict[str, PolicyFeature] = field(default_factory=dict)
-    # Set by itself: their names in datasets.
+    # Set automatically: their names in datasets.
     features_map: dict[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -120,8 +126,9 @@ class AdaManipEnvConfig(EnvConfig):
                 )
             for group in self._groups().values():
                 self._options(**group)
-        self.task, options = self.task or self.category, next(iter(self._groups().values()))
-        chosen = self._options(**options)
+            chosen = self._shared_options
+            names = camera_names(chosen.observed_cameras, self.camera_names)
+        self.task = self.task or self.category
         self.fps = chosen.fps if chosen.is_dense else self.fps or FPS
         self.episode_length, size = chosen.step_limit, self.image_size
         dims = {"action": ACTION_DIM, "state": STATE_DIM}
@@ -135,7 +142,7 @@ class AdaManipEnvConfig(EnvConfig):
             table["effort"] = (FeatureType.STATE, (NUM_JOINTS,), EFFORT)
         if chosen.observes_cloud:
             table["point_cloud"] = (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD)
-        for name in chosen.observed_cameras if self.observe_images is not False else ():
+        for name in names.values() if self.observe_images is not False else ():
             table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
@@ -151,15 +158,21 @@ class AdaManipEnvConfig(EnvConfig):
         """The environment's options."""
         return self._options(self.category)
 
+    @property
+    def _shared_options(self) -> EnvironmentOptions:
+        """Options of the first environment, for what all have in common."""
+        return self._options(**next(iter(self._groups().values())))
+
     def _options(self, category: str, **others: Any) -> EnvironmentOptions:
         shared = [item.name for item in fields(EnvironmentOptions) if item.name != "category"]
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
         workspace = Workspace(self.workspace_lower, self.workspace_upper)
         values |= {"category": category, "workspace": workspace, "fps": self.fps or 10}
+        length = self.episode_length
         if self.control == DENSE:
-            values["max_steps"] = self.episode_length
+            values["max_steps"] = length
         else:
-            values |= {"max_key_frames": self.episode_length or MAX_KEY_FRAMES, "fps": 10}
+            values |= {"max_key_frames": MAX_KEY_FRAMES if length is None else length, "fps": 10}
         return EnvironmentOptions(**{**values, **others})
 
     @property
@@ -170,7 +183,7 @@ class AdaManipEnvConfig(EnvConfig):
     def create_envs(
         self, n_envs: int, use_async_envs: bool = False
     ) -> dict[str, dict[int, gym.vector.VectorEnv[Any, Any, Any]]]:
-        """Returns ``{type: {0: vector environment}}``; removes images from the features that nothing renders.
+        """Returns ``{type: {0: vector environment}}``; removes images from the features if nothing draws them.
 
         Raises:
             ConfigurationError: the policy of ``--policy.path`` was trained on other categories or other observations.
@@ -183,15 +196,16 @@ class AdaManipEnvConfig(EnvConfig):
 
         if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
             logging.getLogger(__name__).warning(line)
-        drawn = self._options(**next(iter(self._groups().values()))).images_from == "raycast"
-        observed = self.observe_images is not False if drawn else observes_images(self.observe_images)
-        for name in () if observed else CAMERAS:
-            self.features.pop(f"pixels/{name}", None)
+        shared = self._shared_options
+        names = camera_names(shared.observed_cameras, self.camera_names)
+        observed = observes_images(self.observe_images, shared.images_from)
+        if not observed:
+            self.features = {key: one for key, one in self.features.items() if one.type is not FeatureType.VISUAL}
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
         require_fitting_policy(self, [one.category for one in options.values()])
-        return {name: {0: make_vector_env(one, n_envs, use_async_envs)} for name, one in options.items()}
+        return {name: {0: make_vector_env(one, n_envs, use_async_envs, names)} for name, one in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:
         """Returns name -> options of each vector environment."""

@@ -138,7 +138,7 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         return self._output.root
 
     def close(self) -> None:
-        """Writes an episode that was cut short, and closes the environment. Without `save`, the episodes wait."""
+        """Writes an episode that was cut short, and closes the environment. `save` can make the dataset later."""
         self._write()
         self._stack.close()
         super().close()

@@ -87,8 +87,8 @@ class RunningEpisode:
 
     Attributes:
         steps: number of key frames, or of dense steps.
-        success: whether a joint has been beyond its goal at the end of a step.
-        end: the record, from the end of the episode on; later steps do not change it.
+        success: whether a joint was beyond its goal at the end of any step.
+        end: the record, set at the end of the episode; later steps do not change it.
         limit: the limit that has ended the episode, `TIME_LIMIT` or `TOO_MANY_TRIES`; otherwise empty.
     """
 
@@ -105,7 +105,7 @@ class RunningEpisode:
         self.task, self._options, self._provenance, self._log = task, options, provenance, log
         self._seed, self._given_seed = seed, given_seed
         self._hidden = task.simulation.hidden_state()
-        self._step_limit = options.step_limit
+        self._step_limit, self._is_dense = options.step_limit, options.is_dense
         limit = options.max_failed_tries
         _, worst = best_tries(task.category, options.mechanism_rules, self._hidden)
         self._max_failed_tries = None if limit is None else worst if limit == BEST else int(limit)
@@ -126,7 +126,7 @@ class RunningEpisode:
         self.clipped_goals += driver.feedback.is_clipped
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
         tries, allowed = simulation.tries, self._max_failed_tries
-        failed = tries.ended_failed_tries if self._options.is_dense else tries.failed_tries
+        failed = tries.ended_failed_tries if self._is_dense else tries.failed_tries
         limit = TIME_LIMIT if self.steps >= self._step_limit else ""
         limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES
@@ -171,8 +171,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     """AdaManip environment with key frames as steps. The simulator starts with the first reset.
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
-    Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels["front"]``
-        (H, W, 3) if images are observed, see ``observe_images``. All bounds are finite.
+    Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels``, camera
+        -> (H, W, 3), if images are observed, see ``observe_images``. All bounds are finite.
     Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
         text. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
@@ -208,8 +208,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self.spec = environment_spec(asked)
         self.options = asked
         if asked.observe_images is None:
-            source = asked.images_from
-            self.options = asked.changed(observe_images=source == "raycast" or observes_images(None))
+            self.options = asked.changed(observe_images=observes_images(None, asked.images_from))
         self.category, self.num_points = self.options.category, self.options.num_points
         self.workspace = self.options.workspace
         self.task = self.task_description = CATEGORIES[self.category].instruction
@@ -309,7 +308,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         episode.after_step()
 
     def end_episode(self, limit: str) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Ends the episode without success for a reason of the caller's, and observes, as `step` does at a limit.
+        """Ends the episode without success. Returns the same values as `step` at a limit; ``limit`` is the reason.
 
         An episode that has ended keeps its result.
         """
@@ -346,7 +345,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def render(self) -> NDArray[np.uint8]:
         """Returns the front camera's present image (H, W, 3); black before the first episode.
 
-        Without a Vulkan device it is drawn by ray casting, with a warning.
+        It is drawn by ray casting if that is the source of images, or, with a warning, without a Vulkan device.
         """
         size = self.options.image_size
         if self._image is None:

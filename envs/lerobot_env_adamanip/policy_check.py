@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from lerobot.configs import parser
 
 from lerobot_adamanip.catalog import category_of
-from lerobot_adamanip.contract.cameras import is_image_column
+from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.training_data import training_objects, training_options
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 
 def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:
-    """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on something else.
+    """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on other categories or observations.
 
     A training with ``--dataset.repo_id`` may continue from a policy of any category.
     """
@@ -82,13 +82,35 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
                 allowed=f"{trained}, as {path} was trained",
                 hint=_remedy(name, trained),
             )
-        if offer is None and is_image_column(name) and not any(is_image_column(key) for key in offered):
-            raise ConfigurationError(
-                "The policy sees images, and the environments observe none.",
-                got=f"observations {listed(sorted(offered))}",
-                allowed=f"{name} {trained}, as {path} was trained",
-                hint=f"--env.observe_images=true {_remedy(name, trained)}",
-            )
+    _require_cameras(policy, path, offered)
+
+
+def _require_cameras(policy: Any, path: str, offered: Mapping[str, Any]) -> None:
+    """Compares a policy's images with those offered, column -> feature; LeRobot's ``--rename_map`` renames them."""
+    trained = {name: tuple(each.shape) for name, each in policy.input_features.items() if is_image_column(name)}
+    seen = [name for name in offered if is_image_column(name)]
+    missing = [name for name in trained if name not in seen]
+    if not missing or parser.parse_arg("rename_map") is not None:
+        return
+    remedy = _remedy(missing[0], trained[missing[0]])
+    if not seen:
+        raise ConfigurationError(
+            "The policy sees images, and the environments observe none.",
+            got=f"observations {listed(sorted(offered))}",
+            allowed=f"{missing[0]} {trained[missing[0]]}, as {path} was trained",
+            hint=f"--env.observe_images=true {remedy}; where nothing renders: --env.image_source=raycast",
+        )
+    if hasattr(policy, "empty_cameras") and set(seen) <= trained.keys():
+        return  # does without the others
+    names = [name.removeprefix(image_column("")) for name in trained]
+    cameras, renamed = ",".join(list(CAMERAS)[: len(names)]), ",".join(names)
+    own = f"--env.cameras='[{renamed}]'"
+    raise ConfigurationError(
+        "The policy sees images of other cameras.",
+        got=f"{listed(seen)} from the environments",
+        allowed=f"{listed(list(trained))}, as {path} was trained",
+        hint=own if set(names) <= CAMERAS.keys() else f"--env.cameras='[{cameras}]' --env.camera_names='[{renamed}]'",
+    )
 
 
 def _require_workspace(policy: Any, path: str, environment: AdaManipEnvConfig) -> None:

@@ -36,7 +36,7 @@ def make_task(category: str, **options: Any) -> AdaManipTask:
 
 @functools.cache
 def placement_check(poses: str = "randomized") -> PlacementCheck:
-    """Returns a function that returns why an object cannot be placed in front of the arm, or an empty text.
+    """Returns a check: object -> why it cannot be placed in front of the arm, or an empty text.
 
     Args:
         poses: see `lerobot_adamanip.episode.options.POSES`.

@@ -12,7 +12,7 @@ import multiprocessing
 import signal
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from multiprocessing import forkserver
 from typing import Any
 
@@ -58,6 +58,24 @@ class FlatCloud(gym.ObservationWrapper[Any, Any, Any]):
         return {**observation, "point_cloud": observation["point_cloud"].reshape(-1)}
 
 
+class CameraNames(gym.ObservationWrapper[Any, Any, Any]):
+    """Renames the cameras of the images by ``names``: camera -> its name in observations."""
+
+    def __init__(self, env: gym.Env[Any, Any], names: Mapping[str, str]) -> None:
+        super().__init__(env)
+        self._names, space = names, env.observation_space
+        assert isinstance(space, gym.spaces.Dict)
+        pixels: Any = space["pixels"]
+        self.observation_space = gym.spaces.Dict({**space, "pixels": gym.spaces.Dict(self._renamed(pixels))})
+
+    def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """Renames the keys of ``pixels``."""
+        return {**observation, "pixels": self._renamed(observation["pixels"])}
+
+    def _renamed(self, cameras: Mapping[str, Any]) -> dict[str, Any]:
+        return {self._names[camera]: value for camera, value in cameras.items()}
+
+
 class FailMalformedActions(gym.Wrapper[Any, Any, Any, Any]):
     """Ends an episode without success at an action with NaN or infinity, so that the other episodes continue.
 
@@ -75,7 +93,7 @@ class FailMalformedActions(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class SyncSimulators(gym.vector.SyncVectorEnv):
-    """Environments of this process; `reset` starts new episodes, also in environments that wait after an ended one."""
+    """Environments of this process. `reset` starts new episodes in all of them, also after an ended one."""
 
     def __init__(self, makers: Sequence[Make]) -> None:
         super().__init__(makers, autoreset_mode=AUTORESET)
@@ -225,9 +243,12 @@ def _server_in_use() -> Iterator[None]:
 
 
 def make_vector_env(
-    options: EnvironmentOptions, n_envs: int, use_async_envs: bool
+    options: EnvironmentOptions, n_envs: int, use_async_envs: bool, names: Mapping[str, str]
 ) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next reset."""
+    """Returns ``n_envs`` equal environments as one, with clouds (3 N,); an ended one waits until the next reset.
+
+    ``names`` renames cameras, see `contract.cameras.camera_names`.
+    """
     from lerobot.envs.utils import freeze_after_episode_end  # LeRobot's server imports this module without it
 
     if n_envs < 1:
@@ -239,7 +260,7 @@ def make_vector_env(
         *(options.category, options.split, options.objects),
         "" if options.split == "test" else " (for a test result: --env.split=test)",
     )
-    makers = [freeze_after_episode_end(functools.partial(_make, options))] * n_envs
+    makers = [freeze_after_episode_end(functools.partial(_make, options, dict(names)))] * n_envs
     # Simulators in one process would render one after the other; separate processes use all cores.
     return AsyncSimulators(makers) if use_async_envs and n_envs > 1 else SyncSimulators(makers)
 
@@ -248,7 +269,8 @@ def _new_rollout(options: dict[str, Any] | None) -> dict[str, Any]:
     return {**(options or {}), NEW_ROLLOUT: True}
 
 
-def _make(options: EnvironmentOptions) -> gym.Env[Any, Any]:
-    env = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
-    ended = FailMalformedActions(env)
-    return FlatCloud(ended) if options.observes_cloud else ended
+def _make(options: EnvironmentOptions, names: Mapping[str, str]) -> gym.Env[Any, Any]:
+    env: gym.Env[Any, Any] = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
+    env = FailMalformedActions(env)
+    env = FlatCloud(env) if options.observes_cloud else env
+    return CameraNames(env, names) if options.observe_images else env

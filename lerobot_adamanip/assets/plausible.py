@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 SMALLEST, LARGEST = 0.02, 3.0
 """Range of the longest side of an object [m], for all categories."""
 OFF = 6.0
-"""Factor to the usual size above which the unit must be wrong (inches, centimetres, millimetres)."""
+"""Ratio to the usual size above which the unit of length must be wrong (inches, centimetres, millimetres)."""
 HELD = 0.04
 """Maximum distance of a held mesh from the tool centre point: the finger opening to one side [m]."""
 
@@ -98,9 +98,9 @@ def _require_sizes(at_rest: Posed, annotation: Annotation) -> None:
 
 
 def _require_size(urdf: Urdf, category: str, what: str, longest: float, bounds: tuple[float, float]) -> None:
-    least, most = bounds
-    if not least <= longest <= most:
-        got, allowed = f"{longest:.3g} m along its longest side", f"{least:.2g} ... {most:.2g} m"
+    smallest, largest = bounds
+    if not smallest <= longest <= largest:
+        got, allowed = f"{longest:.3g} m along its longest side", f"{smallest:.2g} ... {largest:.2g} m"
         hint = f"see which unit its meshes state, or set the scale: {annotate_hint(urdf.path, category)}"
         raise broken(urdf.path, what, got, allowed, hint=hint)
 

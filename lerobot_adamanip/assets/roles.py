@@ -77,7 +77,7 @@ class Roles:
 
 
 QUARTER = 1.5707963267948966
-"""[rad]"""
+"""A quarter turn [rad]."""
 HANDLE_FILES = ("handle_pos.npy", "goal_pos.npy", "handle_bounding.json")
 BOTTLE_FILES = ("goal_pos.npy", "handle_pos.npy")
 DOOR_FILES = ("handle_bounding.json", "goal_pos.npy", "handle_pos.npy")

@@ -72,9 +72,9 @@ def end_command(process: subprocess.Popen[bytes]) -> None:
 def _find_program(name: str) -> str:
     """Returns the path of a program; prefers this Python's installation over PATH."""
     beside = str(Path(sys.executable).parent)
-    found = shutil.which(name, path=os.pathsep.join((beside, os.environ.get("PATH", os.defpath))))
-    if found is None:
+    executable = shutil.which(name, path=os.pathsep.join((beside, os.environ.get("PATH", os.defpath))))
+    if executable is None:
         raise ConfigurationError(
             "A program is missing.", got=name, allowed="a complete installation", hint="adamanip doctor"
         )
-    return found
+    return executable

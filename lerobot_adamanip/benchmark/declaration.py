@@ -135,7 +135,7 @@ class Scale:
         objects: objects of the demonstrations and of the split ``seen``.
         objects_at: category -> objects, where they differ.
         demonstrations: episodes per category, or per object with ``demonstrations_per_object``.
-        steps, batch_size: of each training.
+        steps, batch_size: steps and batch size of each training.
         save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
         episodes: episodes per evaluation; ``environments`` of them run in parallel.
         device: PyTorch device.
@@ -172,7 +172,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Effect:
-    """A change: two methods, with it and without it, compared in the same scenes of some categories (none: all)."""
+    """Effect of a change: methods with and without it, compared in the same scenes of ``categories`` (none: all)."""
 
     title: Annotated[str, TITLE]
     method: Annotated[str, NAME]

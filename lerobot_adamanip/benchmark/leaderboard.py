@@ -14,7 +14,7 @@ from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
 
 TRAINING_SEED, EPISODES, SEEDS = 1000, 100, (700000, 700099)
-"""Of an entry: seed of the training; number of scenes of each category and split of objects; first and last seed."""
+"""Requirements of an entry: training seed, scenes per category and split of objects, first and last scene seed."""
 RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
 
 An entry is a folder of result files, by pull request to `results/leaderboard/NAME/`. Copy
@@ -52,7 +52,7 @@ def problems(results: Sequence[ResultFile]) -> Iterator[str]:
 
 
 def leaderboard_page(entries: Mapping[str, Sequence[ResultFile]]) -> str:
-    """Returns the leaderboard as Markdown; ``entries`` are the result files of each, best first on the page."""
+    """Returns the leaderboard as Markdown, best entry first; ``entries``: name of an entry -> its result files."""
     rows = []
     for name, results in entries.items():
         shares = [("seen", within), *((objects, opened) for objects in OBJECT_SPLITS)]

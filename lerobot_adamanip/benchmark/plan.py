@@ -152,7 +152,7 @@ class KeyVersions:
 
     Attributes:
         simulation, data: see `lerobot_adamanip.contract.versions`.
-        policies: method -> name and version of the package of its policy, for packages of others.
+        policies: method -> name and version of its policy's package, if that is another project's.
     """
 
     simulation: int = SIMULATION_VERSION

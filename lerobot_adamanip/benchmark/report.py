@@ -46,7 +46,7 @@ class Entry:
     """Pooled result of all trainings of a method, in one category and split of objects.
 
     Attributes:
-        metrics: of all their episodes.
+        metrics: metrics of all their episodes.
         results: the results.
         marks: `EARLIER` and `OTHER_OPTIONS`, if they apply to one of them.
     """
@@ -102,7 +102,7 @@ class BenchmarkReport:
         return [category for category in self.categories if any(place[1] == category for place in self.entries)]
 
     def of(self, method: str, objects: str) -> list[Entry]:
-        """Returns the available entries of a method, one a category."""
+        """Returns the available entries of a method, one per category."""
         places = [(method, category, objects) for category in self.categories]
         return [self.entries[place] for place in places if place in self.entries]
 
@@ -154,19 +154,21 @@ class BenchmarkReport:
             scenes = [pair for row in rows for pair in zip(row.scene_outcomes, row.scene_tries, strict=False)]
             tries = [MAX_COUNTED_TRIES if outcome == FAILED else int(count) for outcome, count in scenes]
             if tries:
-                shares.append([sum(count <= most for count in tries) / len(tries) for most in range(MAX_COUNTED_TRIES)])
+                shares.append(
+                    [sum(count <= limit for count in tries) / len(tries) for limit in range(MAX_COUNTED_TRIES)]
+                )
         if len(shares) < len(self.categories):
             return []
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
 
     def runs_of(self, method: str) -> list[CellRun]:
-        """Returns how the results of a method were made."""
+        """Returns the `CellRun` of each result of a method."""
         return [result.run for result in self.results if result.run is not None and result.run.method == method]
 
     def mean_losses(self, method: str) -> list[float]:
-        """Returns the loss in equal parts of a method's last training, as a share of its first value.
+        """Returns the loss curve of a method's last training, relative to its first value.
 
-        The geometric mean over the trainings of its cells; empty without a log.
+        It has one value per equal part of the training: the geometric mean over its cells. Empty without a log.
         """
         logs = [log for log in last_trainings(self.runs_of(method)) if min(log.losses) > 0]
         parts = zip(*([loss / log.losses[0] for loss in log.losses] for log in logs), strict=True)
@@ -176,11 +178,11 @@ class BenchmarkReport:
         """Yields labels and all metrics of each entry."""
         for (method, category, objects), entry in self.entries.items():
             first = entry.results[0]
-            made = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
+            origin = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
             labels = {"subject": method, "mechanism_rules": first.rows[0].mechanism_rules, "category": category}
             within = {f"within_{k}_key_frames": entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
             trainings = {"objects": objects, "trainings": len(entry.results)}
-            yield {**made, **labels, **trainings, **entry.metrics.columns(), **within}
+            yield {**origin, **labels, **trainings, **entry.metrics.columns(), **within}
 
 
 def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
@@ -190,7 +192,7 @@ def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
 
 
 def scenes_of(result: ResultFile) -> tuple[object, ...]:
-    """Returns all that decides the scenes of a result."""
+    """Returns the version, seeds and options that decide the scenes of a result."""
     options = evaluation_options(result.command).items()
     deciding = {pair for pair in options if pair[0].startswith("--env.") and pair[0] not in OBSERVATION_OPTIONS}
     return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), frozenset(deciding)
@@ -207,7 +209,7 @@ def make_report(
     """Builds a report from result files.
 
     Args:
-        results: of any cells, declared or not.
+        results: results of any cells, declared or not.
         declaration: the benchmark.
         scale: name of the scale.
         unavailable: see `BenchmarkReport`.

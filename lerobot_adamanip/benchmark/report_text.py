@@ -139,7 +139,7 @@ def _known_mean(values: Iterable[float | None]) -> float | None:
 
 
 def category_table(report: BenchmarkReport) -> str:
-    """Returns successes and those within the best strategy's tries, a column a category; empty without results.
+    """Returns successes, and successes within the best strategy's tries, by category; empty without results.
 
     The paper's rows follow those of its methods.
     """
@@ -190,7 +190,7 @@ def _difference(gap: PairedDifference) -> str:
 
 
 def budget_table(report: BenchmarkReport) -> str:
-    """Returns what each trained method was given (data, steps, minutes, parameters), and how its loss ends."""
+    """Returns data, steps, minutes and parameters of each trained method, and the change of its loss at the end."""
     rows = []
     for name in report.methods:
         if runs := [run for run in report.runs_of(name) if TRAIN in run.steps]:

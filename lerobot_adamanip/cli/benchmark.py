@@ -47,7 +47,8 @@ class BenchmarkCommand:
     """Write the table of the existing results and run nothing."""
 
     workers: int = 2
-    """Processes that collect demonstrations; with --cluster actors, 0 for one per CPU. Does not change a result."""
+    """Number of processes that collect demonstrations. With --cluster: number of actors, 0 for one per CPU. Does not
+    change a result."""
 
     jobs: int = 1
     """Number of parallel commands, which share the cores. Two trainings on one core each finish sooner than one after
@@ -63,7 +64,7 @@ class BenchmarkCommand:
     """Print one JSON object. Progress goes to stderr."""
 
     def run(self) -> int:
-        """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
+        """Lists, runs or reports. Returns 1 if a cell failed, 130 after Ctrl-C, otherwise 0."""
         from lerobot_adamanip.cli.benchmark_run import run_benchmark
 
         return run_benchmark(self)

@@ -37,21 +37,21 @@ EXIT_INTERRUPTED, EXIT_TERMINATED = 130, 143
 
 
 def run_benchmark(options: BenchmarkCommand) -> int:
-    """Lists, runs or reports. Returns 0, 1 if a cell failed, or 130 after Ctrl-C."""
+    """Lists, runs or reports. Returns 1 if a cell failed, 130 after Ctrl-C, otherwise 0."""
     declaration = read_declaration(options.config) if options.config else with_packages(read_declaration(PAPER_TABLE))
     scale, selection = options.scale or DEFAULT_SCALE, _selection(options)
     cells = select_cells(declaration, scale, **selection)
     runs_nothing = options.list_cells or options.report
     _check(options, len(cells), is_chosen=runs_nothing or any((options.scale, options.config, *selection.values())))
     with contextlib.redirect_stdout(sys.stderr):  # library output must not get into the JSON
-        made = _benchmark(options, declaration, scale)
+        benchmark = _benchmark(options, declaration, scale)
         try:
-            states = [made.state(cell) for cell in cells] if runs_nothing else _run_cells(made, cells)
+            states = [benchmark.state(cell) for cell in cells] if runs_nothing else _run_cells(benchmark, cells)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. Finished work is kept. To resume:\n  {command}")
             return EXIT_INTERRUPTED
-        written = {} if options.list_cells else _write_report(made)
+        written = {} if options.list_cells else _write_report(benchmark)
     _print(options, scale, states, written)
     return 1 if any(each.state == FAILED for each in states) else 0
 
@@ -115,14 +115,14 @@ def _print(options: BenchmarkCommand, scale: str, states: Sequence[CellState], w
         print(f"{what}: {path}")
 
 
-def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
+def _run_cells(benchmark: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
     """Runs the unfinished cells, with progress on stderr. SIGTERM also ends the running commands."""
     states = []
     before = signal.signal(signal.SIGTERM, lambda *_: sys.exit(EXIT_TERMINATED))
     try:
         with show_progress({"cells": "cells"}) as progress:
             progress("cells", 0, len(cells))
-            for number, state in enumerate(made.run(cells), start=1):
+            for number, state in enumerate(benchmark.run(cells), start=1):
                 states.append(state)
                 progress("cells", number, len(cells))
     finally:
@@ -130,17 +130,17 @@ def _run_cells(made: BenchmarkRun, cells: Sequence[Cell]) -> list[CellState]:
     return states
 
 
-def _write_report(made: BenchmarkRun) -> dict[str, str]:
+def _write_report(benchmark: BenchmarkRun) -> dict[str, str]:
     """Writes the report of all results in the folder as Markdown, CSV and pictures. Returns the paths."""
-    stale = {cell for cell in all_cells(made.declaration, made.scale) if made.state(cell).state == STALE}
+    stale = {cell for cell in all_cells(benchmark.declaration, benchmark.scale) if benchmark.state(cell).state == STALE}
     report = make_report(
-        read_results(made.folder.cells).values(),
-        made.declaration,
-        made.scale,
-        unavailable=made.unavailable,
+        read_results(benchmark.folder.cells).values(),
+        benchmark.declaration,
+        benchmark.scale,
+        unavailable=benchmark.unavailable,
         stale=stale,
     )
-    folder = made.folder.root / "report"
+    folder = benchmark.folder.root / "report"
     folder.mkdir(parents=True, exist_ok=True)
     table, metrics = folder / "benchmark.md", folder / "benchmark.csv"
     write_atomically(table, f"{benchmark_page(report)}\n{LEGEND}".encode())

@@ -130,7 +130,8 @@ class CollectCommand:
     """Seed of the whole collection."""
 
     workers: int = 1
-    """Worker processes with a simulator each; with --cluster actors, 0 for one per CPU. Does not change the data."""
+    """Number of worker processes with a simulator each. With --cluster: number of actors, 0 for one per CPU. Does not
+    change the data."""
 
     worker_timeout: float = DEFAULT_TIMEOUT
     """Time without a heartbeat (a key frame, an episode) after which a worker is replaced [s]. With --cluster: time

@@ -90,7 +90,7 @@ def resolve_images(roots: Sequence[Path], required: bool) -> bool:
     stderr says that there are none.
 
     Args:
-        roots: of the dataset, and of adopted parts.
+        roots: folders of the dataset, and of adopted parts.
         required: whether to raise `SimulatorError` on a machine that cannot render.
     """
     from lerobot_adamanip.datasets.collection_spec import CollectionPaths
@@ -118,7 +118,7 @@ def summary_text(summary: CollectSummary, part: str | None, adopted: Sequence[Pa
     """Returns the command's last output.
 
     Args:
-        summary: of the run.
+        summary: summary of the run.
         part: that was recorded, if any.
         adopted: roots of imported parts.
         driver: ``expert`` or ``policy``.

@@ -295,7 +295,7 @@ CHECKS: tuple[Callable[[], CheckResult | Iterator[CheckResult]], ...] = (
 
 
 def run_checks() -> Iterator[CheckResult]:
-    """Runs all checks in order. A check that raises counts as failed. Without an account, the others would mislead."""
+    """Runs all checks in order. A check that raises counts as failed. Without an account, the rest is skipped."""
     for check in CHECKS:
         try:
             result = check()

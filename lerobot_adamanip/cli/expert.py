@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 class ExpertCommand:
     """Evaluates a scripted expert: the scenes, the limits and the log are those of `lerobot-eval`.
 
-    An expert knows the poses of the parts. The adaptive one does not see what is hidden: its result is what a policy
-    with perfect perception and memory reaches.
+    An expert knows the poses of the parts. The adaptive expert does not know the hidden state, so its result is that of
+    a policy with perfect perception and memory.
     """
 
     category: Category = "safe"

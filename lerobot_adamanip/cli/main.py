@@ -140,7 +140,7 @@ def execute(name: str, options: Sequence[str]) -> int:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """CommandEntry point.
+    """Entry point of the `adamanip` command.
 
     Returns:
         0 on success, 1 for a negative result of the command, 2 for a usage or setup error, 130 if interrupted.

@@ -110,7 +110,7 @@ def collect(
     Args:
         root: root folder of the dataset.
         spec: specification of the collection.
-        factories: of environments and experts.
+        factories: factories of environments and experts.
         options: options that do not change the data.
         listener: progress callback.
 

@@ -56,7 +56,7 @@ class Correcting:
         take_over: creates the expert that labels, and sometimes acts.
         expert_share: probability that the expert acts at a key frame.
         seed: seed of the episode.
-        generator: random numbers of the expert's labels, and of who acts.
+        generator: random numbers for the expert's labels, and for the choice between policy and expert.
     """
 
     actor: Actor

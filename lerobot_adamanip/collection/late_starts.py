@@ -37,7 +37,7 @@ class LateStart:
     Attributes:
         key_frames: maximum key frames of the unrecorded expert.
         move: (4, 4) motion of the hand away from the part, in the hand's frame [m].
-        seed, category: of the episode.
+        seed, category: seed and category of the episode.
     """
 
     key_frames: int

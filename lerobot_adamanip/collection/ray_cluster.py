@@ -48,13 +48,13 @@ _SET_A_TOKEN = """ray get-auth-token --generate   (once; then copy ~/.ray/auth_t
 
 def node_versions() -> dict[str, str]:
     """Returns this machine's versions of `EQUAL`, and its name as ``host``."""
-    found = {"host": platform.node()}
+    versions = {"host": platform.node()}
     for name in EQUAL:
         try:
-            found[name] = importlib.metadata.version(name)
+            versions[name] = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            versions[name] = "not installed"
+    return versions
 
 
 def require_equal_versions(driver: Mapping[str, str], node: Mapping[str, str]) -> None:
@@ -77,7 +77,7 @@ def is_loopback(address: str) -> bool:
 
 
 def require_usable(address: str, *, insecure: bool) -> None:
-    """Raises `ConfigurationError` for mistakes that are found without asking the cluster. See `connected`."""
+    """Raises `ConfigurationError` for mistakes that can be detected without the cluster. See `connected`."""
     if importlib.util.find_spec("ray") is None:
         raise ConfigurationError(
             "Ray is not installed.",

@@ -46,7 +46,7 @@ class SessionActor[Item]:
         return node_versions()
 
     def do(self, item: Item) -> tuple[str, object]:
-        """Runs an item: ``result`` and its value, or ``error`` and its text."""
+        """Runs an item. Returns ``result`` and its value, or ``error`` and its text."""
         try:
             if self._work is None:
                 self._work = self._stack.enter_context(self._session())

@@ -62,7 +62,7 @@ class RecordingJob:
 
     Attributes:
         spec: specification of the collection.
-        factories: of environments and experts.
+        factories: factories of environments and experts.
         max_attempts: maximum number of seeds per episode.
         versions: required software versions of every environment.
     """

@@ -85,7 +85,7 @@ def summarize(root: Path, spec: CollectionSpec, results: Results, **facts: Any) 
     Args:
         root: root folder of the dataset.
         spec: specification of the collection.
-        results: of the run's items.
+        results: results of the run's items.
         facts: ``seconds``, ``recording_seconds`` and ``failures`` of the run.
     """
     rows = Dataset(root).table.select(["object_id", "attempts", "length", "success"]).to_pylist()

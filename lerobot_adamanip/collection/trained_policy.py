@@ -45,7 +45,7 @@ def policy_hash(path: Path) -> str:
     Raises:
         ConfigurationError: the checkpoint does not exist.
     """
-    made = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in ("config.json", "model.safetensors"):
         if not (path / name).is_file():
             raise ConfigurationError(
@@ -57,8 +57,8 @@ def policy_hash(path: Path) -> str:
     names = {file.name for pattern in _ACTING for file in path.glob(pattern)}
     for name in sorted(names):
         content = (path / name).read_bytes()
-        made.update(f"{name} {len(content)}\n".encode() + content)
-    return made.hexdigest()[:32]
+        digest.update(f"{name} {len(content)}\n".encode() + content)
+    return digest.hexdigest()[:32]
 
 
 class TrainedPolicy:

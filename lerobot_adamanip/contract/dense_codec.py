@@ -15,14 +15,15 @@ from lerobot_adamanip.contract.rotations import (
 
 Array = NDArray[np.float64]
 
-REFERENCE = np.array([0.3827, 0.0, 0.9239, 0.0])
-"""Quaternion (w, x, y, z) of a tool that points forward and down; see `continuous_rotation_vector`."""
+REFERENCE = np.array([-0.555, 0.708, 0.285, 0.332])
+"""Quaternion (w, x, y, z) amid the tool's rotations: those of the experts in the nine categories stay within
+140 degrees of it. The usual rotation vectors jump in the middle of them, where a tool points straight down."""
 
 
 def continuous_rotation_vector(rotation: Array) -> Array:
     """Returns the rotation vector (3,) of a rotation matrix (3, 3) that is continuous around `REFERENCE`.
 
-    Its length may exceed pi. The usual one, with a length of at most pi, jumps for a tool that points straight down.
+    Its length may exceed pi; the usual one has at most pi.
     """
     quaternion = quaternion_from_matrix(rotation)
     quaternion = quaternion if quaternion @ REFERENCE >= 0 else -quaternion

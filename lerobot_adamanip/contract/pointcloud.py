@@ -14,7 +14,7 @@ from lerobot_adamanip.util.errors import ConfigurationError
 Cloud = NDArray[np.float32]
 
 MIN_POINTS, MAX_POINTS = 2, 16_384
-"""Allowed numbers of points of a cloud. One point, stored as 3 numbers, could not be told from points (N, 3)."""
+"""Allowed numbers of points of a cloud. One point, stored as 3 numbers, would look like a row of points (N, 3)."""
 KDTREE_HEIGHT = 6
 """Bucket height of the k-d line sampler. At about 2 * 10^4 points it is 10 % faster than 5, the QuickFPS paper's value.
 The samples are equal unless two points are equally far."""
@@ -25,7 +25,7 @@ DEPTH_SIZE, FEW_POINTS, DEPTH_SIZE_OF_FEW = 320, 2048, 240
 
 @dataclass(frozen=True)
 class Workspace:
-    """An axis-aligned box in the robot's base frame [m]; what lies outside is not part of the cloud."""
+    """An axis-aligned box in the robot's base frame [m]. Points outside are not part of the cloud."""
 
     lower: tuple[float, float, float] = (0.30, -0.36, 0.48)
     upper: tuple[float, float, float] = (0.80, 0.36, 1.05)
@@ -95,14 +95,14 @@ def farthest_point_order(points: Cloud, num_points: int) -> Cloud:
     check_num_points(num_points, smallest=1)
     if len(points) == 0:
         return np.zeros((num_points, 3), np.float32)
-    wanted = min(num_points, len(points))
+    count = min(num_points, len(points))
     if len(points) < 2:
         return np.repeat(points[:1], num_points, axis=0).astype(np.float32)
     height = min(KDTREE_HEIGHT, len(points).bit_length() - 1)  # a tree of 2^h buckets needs at least 2^h points
-    indices = fpsample.bucket_fps_kdline_sampling(points, wanted, h=height, start_idx=0)
+    indices = fpsample.bucket_fps_kdline_sampling(points, count, h=height, start_idx=0)
     chosen = points[np.asarray(indices, dtype=np.int64)]
     return (
         np.resize(chosen, (num_points, 3)).astype(np.float32)
-        if wanted < num_points
+        if count < num_points
         else np.ascontiguousarray(chosen, np.float32)
     )

@@ -75,8 +75,8 @@ def _quaternion(matrix: Array) -> Array:
         (c - g, b + d, squares[2], f + h),
         (d - b, c + g, f + h, squares[3]),
     )
-    found = np.array(rows[largest])
-    return np.asarray(found / math.copysign(math.sqrt(found @ found), found[0]))
+    quaternion = np.array(rows[largest])
+    return np.asarray(quaternion / math.copysign(math.sqrt(quaternion @ quaternion), quaternion[0]))
 
 
 def transform(position: ArrayLike = (0.0, 0.0, 0.0), rotation: ArrayLike | None = None) -> Array:

@@ -1,6 +1,6 @@
 """The contract: one table of features for simulation, demonstrations, policy and robot.
 
-Everything is metric and in the robot's base frame. Rotations travel as 6D vectors, the first two rows of the
+Everything is metric and in the robot's base frame. Rotations are 6D vectors, the first two rows of the
 rotation matrix flattened (`lerobot_adamanip.contract.rotations`). Hidden state never appears under ``observation.*``:
 LeRobot makes every such column a policy input.
 """
@@ -53,7 +53,7 @@ JOINT_NAMES = (
     *(f"object_joint_{i}.pos" for i in range(1, MAX_OBJECT_JOINTS + 1)),
 )  # fmt: skip
 """All joint positions, for rendering a row later: arm [rad], fingers [m], then the object's joints in the order of its
-links [rad or m], padded with 0. They tell more than a camera sees, so they are never a policy input."""
+links [rad or m], padded with 0. They contain more than a camera sees, so they are never a policy input."""
 ACTION_DIM = len(POSE_NAMES)
 STATE_DIM = len(STATE_NAMES)
 POSITION_DIMS = slice(0, 3)
@@ -86,7 +86,7 @@ FIXED_STATISTICS = {
 
 
 def dataset_features(
-    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = CAMERAS
+    num_points: int = DEFAULT_NUM_POINTS, image_size: int = IMAGE_SIZE, *, cameras: Collection[str] = (FRONT,)
 ) -> dict[str, dict[str, Any]]:
     """Returns LeRobotDataset features of a demonstration dataset: key -> {dtype, shape, names}.
 

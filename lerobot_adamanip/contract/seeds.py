@@ -88,7 +88,7 @@ def category_offset(category: str) -> int:
 
 
 def split_of(seed: int) -> str | None:
-    """Returns the split a scene's seed belongs to; None for a seed of no split."""
+    """Returns the split of a scene's seed; None outside all splits."""
     return next((name for name, (first, end) in SPLITS.items() if first <= seed < end), None)
 
 

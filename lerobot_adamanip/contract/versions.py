@@ -22,7 +22,7 @@ SIMULATION_VERSION = 3
 DATA_VERSION = 3
 """Version of training data: stored rows, their labels, training batches, and the losses of this project's policies.
 
-It starts at 3 together with `SIMULATION_VERSION`, so that 1 and 2 mean the same code for both; later they part.
+It starts at 3, like `SIMULATION_VERSION`, so that 1 and 2 mean the same code for both. Later the two may differ.
 """
 SIMULATION, DATA = "simulation", "data"
 """Names of the two versions in `software_versions`."""
@@ -56,7 +56,7 @@ def cpu_model() -> str:
 
 
 def earlier_version(measured: Iterable[int]) -> str:
-    """Returns a sentence that names the simulation versions ``measured``; empty if they are the present one alone."""
+    """Returns a sentence that names the simulation versions ``measured``; empty if all are the present version."""
     versions = sorted(set(measured))
     if set(versions) <= {SIMULATION_VERSION}:
         return ""
@@ -65,7 +65,7 @@ def earlier_version(measured: Iterable[int]) -> str:
 
 
 def joined_versions(several: Iterable[Mapping[str, str]]) -> dict[str, str]:
-    """Returns name -> its version in all of ``several``; different ones are joined by ``and``."""
+    """Returns name -> version over several mappings; different versions of a name are joined by ``and``."""
     versions: dict[str, set[str]] = {}
     for each in several:
         for name, version in each.items():

@@ -61,7 +61,7 @@ def append_rows(
     Args:
         dataset: LeRobotDataset that is being written.
         table: the rows; the columns `encoding.PLACE` are replaced.
-        tasks: of the episode; new ones are added to the dataset.
+        tasks: tasks of the episode; new ones are added to the dataset.
         task_of_row: task of each row.
         stats: column -> statistics; those of `encoding.PLACE` are recomputed.
         videos: column -> content of a video file with only this episode's frames.

@@ -26,8 +26,8 @@ class AttemptRecord:
 
     Attributes:
         object_id, slot, attempt: its place: attempt number, from 0, at the object's episode number ``slot``.
-        seed: of the episode.
-        hidden_state: of the episode; None if there was no layout.
+        seed: seed of the episode.
+        hidden_state: hidden values of the episode; None if there was no layout.
         kept: whether the dataset contains it.
         reason: ``success``, or the reason of the failure.
         key_frames: number of them.
@@ -102,7 +102,7 @@ def count(attempts: list[AttemptRecord], wanted: int) -> AttemptCounts:
 
 
 class HasHiddenState(Protocol):
-    """An attempt or an episode."""
+    """An attempt or an episode, both with a hidden state."""
 
     @property
     def hidden_state(self) -> Mapping[str, Any] | None:

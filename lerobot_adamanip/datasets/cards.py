@@ -127,8 +127,8 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     """Returns the README of a finished dataset. It contains no local path.
 
     Args:
-        folder: of the dataset.
-        name: of the output folder in the card's `adamanip collect` command.
+        folder: folder of the dataset.
+        name: name of the output folder in the card's `adamanip collect` command.
         repo_id: its name on the Hub.
         assets: folder of the external assets of the collection, if any.
 
@@ -158,7 +158,7 @@ def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, objec
         "task_categories": ["robotics"],
         "tags": list(TAGS),
         "pretty_name": f"AdaManip demonstrations ({name})",
-        "size_categories": [next((text for most, text in _SIZES if rows < most), "1B<n<10B")],
+        "size_categories": [next((text for limit, text in _SIZES if rows < limit), "1B<n<10B")],
         "configs": [{"config_name": "default", "data_files": "data/*/*.parquet"}],
     }
     lines = []
@@ -210,19 +210,19 @@ def _origin(
     categories = list(dict.fromkeys(category_of(episode.object_id) for episode in episodes))
     is_mixed = len(categories) > 1 if manifest is None else manifest.spec.category == ALL
     selection = dataset.selection if selection_path(dataset.root).exists() else None
-    made = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
+    origin = "Put together of several collections, or of a part of one: each episode's columns say how it was made."
     if manifest is not None:
-        made = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
+        origin = f"```bash\n{collect_command(manifest.spec, 'DATASET' if selection else folder)}\n```"
     if selection is not None:
         commands = "\n".join(selection.made_with)
         commands = f", made with\n\n```bash\n{commands}\n```" if commands else "."
         part = f"Part of `DATASET`: {len(selection.episodes)} of its {selection.source_episodes} episodes"
-        made = f"{part}, listed in `meta/selection.json`{commands}\n\nHow `DATASET` was made:\n\n{made}"
+        origin = f"{part}, listed in `meta/selection.json`{commands}\n\nHow `DATASET` was made:\n\n{origin}"
     return {
         "title": "all categories" if is_mixed else categories[0].replace("_", " "),
         "env_type": "adamanip" if is_mixed else f"adamanip_{categories[0]}",
         "expert": "/".join(sorted({str(episode.expert) for episode in episodes})),
-        "made": made,
+        "made": origin,
     }
 
 

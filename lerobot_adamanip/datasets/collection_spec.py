@@ -67,11 +67,11 @@ class CollectionSpec:
         expert_strategy: see `lerobot_adamanip.experts.EXPERT_STRATEGIES`.
         episodes_per_object: number of successes to keep per object.
         trials: failed tries of a motion before the adaptive expert changes it (the paper's second table).
-        seed: of the whole collection.
+        seed: seed of the whole collection.
         late_starts: share of episodes that start from mid-task states, see `lerobot_adamanip.collection.late_starts`.
         keep_failed: whether to keep failed episodes, in a separate dataset.
         policy: hash of a policy that drives while the expert corrects it (`collection.corrections`); empty for
-            demonstrations of the expert. Its episodes are kept with and without success.
+            demonstrations of the expert. Episodes of a policy are kept with and without success.
         expert_share: share of key frames that the expert drives; 1 for demonstrations.
     """
 
@@ -138,7 +138,7 @@ class CollectionPaths:
 
     Attributes:
         root: the finished dataset.
-        manifest: of the finished dataset.
+        manifest: manifest of the finished dataset.
         failed: the dataset of failed episodes.
         partial: folder of an unfinished collection.
         partial_manifest: its manifest.

@@ -45,7 +45,7 @@ def compose(
     Args:
         out: a folder that does not exist.
         pieces: one or more episodes, of datasets with equal features.
-        repo_id: for LeRobot.
+        repo_id: repository id for LeRobot.
         selection: the dataset that the new one is a part of, if any; its manifest and attempts are copied.
         progress: called after each episode.
 

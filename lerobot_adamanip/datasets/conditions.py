@@ -149,7 +149,7 @@ def _parse(text: str, table: DataFrame) -> tuple[str, Callable[[Any], bool]]:
         if kind in (bool, str):
             raise unfit(f"= or !=, since {column} is no number")
         compare, bound = _ORDERED[operation], convert(value)
-        return column, lambda found: compare(found, bound)
+        return column, lambda cell: compare(cell, bound)
     ranges, values = [], list[Value]()
     for word in (part.strip() for part in value.split(",")):
         if kind is int and (span := re.fullmatch(r"(-?\d+):(-?\d+)", word)):
@@ -157,11 +157,11 @@ def _parse(text: str, table: DataFrame) -> tuple[str, Callable[[Any], bool]]:
         else:
             values.append(convert(word))
 
-    def is_one_of(found: Any) -> bool:
-        found = as_text(found) if kind is str else found
-        return found in values or any(found in span for span in ranges)
+    def is_one_of(cell: Any) -> bool:
+        cell = as_text(cell) if kind is str else cell
+        return cell in values or any(cell in span for span in ranges)
 
-    return column, is_one_of if operation == "=" else lambda found: not is_one_of(found)
+    return column, is_one_of if operation == "=" else lambda cell: not is_one_of(cell)
 
 
 def _kind(column: str, rest: str, table: DataFrame) -> type:

@@ -90,7 +90,7 @@ def _encoded_anew(path: Path, out: Path, span: tuple[int, int], fps: int, featur
     with open_mp4(path) as container:
         for number, frame in enumerate(itertools.islice(container.decode(video=0), *span)):
             frame.to_image().save(folder / f"frame-{number:06d}.png")
-    if found := len(list(folder.iterdir())):
+    if count := len(list(folder.iterdir())):
         encoder = encoder_like(feature.get("info") or {})
         encode_video_frames(folder, out, fps, video_encoder=encoder, encoder_threads=ENCODER_THREADS, overwrite=True)
-    return found
+    return count

@@ -1,17 +1,16 @@
 """`Dataset`, the reader of every dataset on disk: key frames of `adamanip collect`, or a robot's recording of ticks.
 
-    dataset = Dataset(root)                       # raises `DatasetError` for the first damage that it meets
-    dataset = Dataset(root, on_damage=report.add) # reports each damage and goes on, for `adamanip check`
+    dataset = Dataset(root)                       # raises `DatasetError` for the first damage
+    dataset = Dataset(root, on_damage=report.add) # reports each and continues, for `adamanip check`
 
 - ``dataset.info``, ``.features``, ``.fps``, ``.tasks``, ``len(dataset)``: of ``meta/info.json`` and ``tasks.parquet``.
-- ``dataset.table``: the columns of ``meta/episodes``, one row an episode, without statistics; ``own_columns`` are ours.
+- ``dataset.table``: the columns of ``meta/episodes``, one per episode, without statistics; ``own_columns`` are ours.
 - ``dataset.episodes``: `Episode`, its place and its row of that table. ``dataset.episode(3)`` checks the number.
 - ``dataset.rows(episode)``: its rows as a table; ``columns(episode)`` as arrays; ``recorded(3, manifest)`` as
   `RecordedEpisode`, checked for the simulator.
 - ``dataset.column_table(names)``: some columns of all rows. ``labels``: tries and successes counted from them.
-- ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read when they are asked for.
-
-An `EpisodeDescription` is ``EpisodeDescription.from_columns(episode.row)``.
+- ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read on first access.
+- ``EpisodeDescription.from_columns(episode.row)``: the description of an episode.
 """
 
 from __future__ import annotations
@@ -317,11 +316,11 @@ class Dataset:
             if description.object_id not in manifest.spec.objects:
                 raise ValueError("object_id is none of the collection's")
             integer(2, 10_000)("length", episode.length)
-            found, columns = self.columns(episode), {}
+            arrays, columns = self.columns(episode), {}
             for key, feature in columns_of(manifest.spec.environment.changed(observe_images=False)).items():
-                values = found[key].astype(feature["dtype"], copy=False)
+                values = arrays[key].astype(feature["dtype"], copy=False)
                 columns[key] = values.reshape(episode.length, *feature["shape"])
-            task = self.tasks[int(found["task_index"][0])]
+            task = self.tasks[int(arrays["task_index"][0])]
             return RecordedEpisode(columns, description.record(task))
         except (ValueError, KeyError, TypeError) as error:
             raise DatasetError(
@@ -333,9 +332,9 @@ class Dataset:
 
     def column_table(self, names: Iterable[str]) -> pa.Table:
         """Returns some columns of all rows, ordered by ``index``; raises `DatasetError` for a damaged file."""
-        wanted = list(dict.fromkeys(("index", "episode_index", *names)))
+        selected = list(dict.fromkeys(("index", "episode_index", *names)))
         try:
-            return pq.read_table(sorted(self.root.glob("data/*/*.parquet")), columns=wanted).sort_by("index")
+            return pq.read_table(sorted(self.root.glob("data/*/*.parquet")), columns=selected).sort_by("index")
         except (OSError, pa.ArrowException) as error:
             raise damaged(self.root, first_line(error)) from error
 
@@ -351,7 +350,7 @@ class Dataset:
 
     @cached_property
     def selection(self) -> Selection:
-        """Selection that this dataset is; all its own episodes if it is not a part."""
+        """Source episodes of this part of a dataset; all its own episodes if it is not a part."""
         return read_selection(self.root, len(self))
 
     def check_videos(self) -> None:

@@ -50,7 +50,7 @@ def filter_episodes(
     """Writes a dataset of the episodes that fulfil all conditions; returns their indices.
 
     Args:
-        root: of a dataset.
+        root: folder of a dataset.
         conditions: see `conditions.choose`; empty for all episodes.
         out: folder of the new dataset, which must not exist. None to write nothing.
         repo_id: ``local/<folder name>`` by default.
@@ -91,11 +91,11 @@ def split_episodes(
     """Writes each episode of a dataset to one of several parts; returns the episodes of each part.
 
     Args:
-        root: of a dataset.
+        root: folder of a dataset.
         out: folder of the parts, which must not exist.
         shares: name of a part -> its share; they add up to 1. None makes one part for each value of ``by``.
         by: column of `conditions.episode_values`. Episodes with equal values stay together; shares are of the values.
-        seed: of the random assignment.
+        seed: seed of the random assignment.
         progress: called after each episode.
 
     Raises:

@@ -79,11 +79,11 @@ _ENCODER_OPTIONS: Mapping[str, json_fields.Check] = {
     "crf": json_fields.number(0, 63),
     "preset": json_fields.either(json_fields.integer(0, 13), json_fields.choice(_WORDS)),
 }
-"""Options of a dataset's description that an encoder gets, and their values; no other option or value is passed on."""
+"""Encoder options that are read from a dataset, and their allowed values. Others are not passed on."""
 
 
 def encoder_like(info: Mapping[str, Any]) -> Any:
-    """Returns LeRobot's configuration of an encoder for frames that join the video of a description.
+    """Returns LeRobot's encoder configuration for frames that are appended to the video of a column's description.
 
     Raises:
         DatasetError: no encoder for this codec is allowed or installed.
@@ -150,14 +150,14 @@ def prepare(episode: RecordedEpisode, features: Features, fps: int, scratch: Pat
 def _rows(episode: RecordedEpisode, features: Features, fps: int) -> dict[str, Any]:
     """Returns the columns as LeRobot's writer stacks them: columns of shape (1,) become scalars."""
     length = len(episode)
-    given = {
+    arrays = {
         **episode.columns,
         **{key: np.zeros(length, np.int64) for key in PLACE},
         "timestamp": np.arange(length) / fps,
         "frame_index": np.arange(length),
     }
     return {
-        key: given[key].reshape(length) if tuple(feature["shape"]) == (1,) else given[key]
+        key: arrays[key].reshape(length) if tuple(feature["shape"]) == (1,) else arrays[key]
         for key, feature in features.items()
         if feature["dtype"] != "video"
     }
@@ -168,8 +168,8 @@ def _table(rows: dict[str, Any], features: Features) -> bytes:
     from lerobot.datasets.feature_utils import get_hf_features_from_features
 
     columns = get_hf_features_from_features(dict(features))
-    made = datasets.Dataset.from_dict({key: rows[key] for key in columns}, features=columns, split="train")
-    table = made.with_format("arrow")[:]
+    dataset = datasets.Dataset.from_dict({key: rows[key] for key in columns}, features=columns, split="train")
+    table = dataset.with_format("arrow")[:]
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as stream:
         stream.write_table(table)

@@ -1,4 +1,4 @@
-"""What ``meta/episodes`` says of a simulated episode: one dataclass, written to columns and read from them with checks.
+"""Description of a simulated episode in ``meta/episodes``: one dataclass, written to columns and read with checks.
 
 `EpisodeDescription` is made where an episode is recorded. The datasets may be untrusted, so every value is checked.
 """
@@ -78,8 +78,8 @@ class EpisodeDescription:
 
     Attributes:
         object_id: ``safe_007``.
-        seed: of the scene.
-        expert: who drove: ``adaptive``, ``static``, or the name of a policy.
+        seed: seed of the scene.
+        expert: driver of the arm: ``adaptive``, ``static``, or the name of a policy.
         tries, failed_tries: number of tries, and of the failed ones.
         success: whether the task was done.
         attempt: number of earlier attempts at this episode, which are in ``failures``.
@@ -87,7 +87,7 @@ class EpisodeDescription:
         late: whether it starts from a mid-task state.
         simulation_version, data_version: see `lerobot_adamanip.contract.versions`.
         hidden_state: sampled values.
-        hidden_overrides: hidden values that the reset was asked for; None if it drew them.
+        hidden_overrides: hidden values that were requested at the reset; None if all were drawn.
         start: see `start_column`.
         camera: parameters of the front camera.
         versions: installed versions.
@@ -116,7 +116,7 @@ class EpisodeDescription:
 
     @property
     def attempts(self) -> int:
-        """Number of attempts at this episode, with this one; 1 for an episode of the dataset of failed ones."""
+        """Number of attempts at this episode, including this one; 1 in the dataset of failed episodes."""
         return len(self.failures) + 1
 
     def record(self, task: str) -> dict[str, Any]:

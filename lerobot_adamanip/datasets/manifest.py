@@ -124,12 +124,12 @@ class Manifest:
 
 def asset_hash(assets: str | Path, object_id: str) -> str:
     """Returns a hash of all files of an external object."""
-    made, folder = hashlib.sha256(), AssetSource(Path(assets)).folder(object_id)
+    digest, folder = hashlib.sha256(), AssetSource(Path(assets)).folder(object_id)
     for path in sorted(folder.rglob("*")):
         if path.is_file():
-            digest = hashlib.sha256(path.read_bytes()).hexdigest()
-            made.update(f"{path.relative_to(folder).as_posix()} {digest}\n".encode())
-    return made.hexdigest()[:32]
+            content = hashlib.sha256(path.read_bytes()).hexdigest()
+            digest.update(f"{path.relative_to(folder).as_posix()} {content}\n".encode())
+    return digest.hexdigest()[:32]
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:

@@ -1,4 +1,4 @@
-"""Open a dataset that others made: checks of ``meta/info.json``, texts and video files, and the errors of opening.
+"""Open an untrusted dataset: checks of ``meta/info.json``, texts and video files, and the errors of opening.
 
 LeRobot, FFmpeg, cards and terminals interpret some values: encoder options, templates of paths, playlists, markup,
 control characters. A value that neither LeRobot nor this project writes is refused.
@@ -123,7 +123,7 @@ def _check_feature(key: str, feature: object) -> None:
 
 
 def plain_feature(feature: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns what this project passes on of a column's description."""
+    """Returns the fields of a column's description that are passed on to other libraries."""
     kept = {name: feature[name] for name in ("dtype", "shape", "names", "info") if name in feature}
     return {**kept, "shape": tuple(feature["shape"])}
 

@@ -68,7 +68,7 @@ class OutputFolder:
             folder = self.root.with_name(self.root.name + suffix)
             if suffix != self.suffix and (episodes := count_episodes(folder)):
                 raise DatasetError(
-                    f"An unfinished `{command}` waits to become this dataset.",
+                    f"An unfinished `{command}` waits for this output folder.",
                     got=f"{episodes} episodes in {folder}",
                     allowed="one command for an output folder",
                     hint=f"finish that `{command}` first; or another folder",
@@ -110,9 +110,9 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
         DatasetError: the folder is not writable, another command uses it, or the work folder has foreign files.
     """
     output = OutputFolder(resolve_output(target), suffix)
-    made = [folder for folder in output.root.parents if not folder.exists()]
+    missing = [folder for folder in output.root.parents if not folder.exists()]
     with contextlib.ExitStack() as stack:
-        stack.callback(_remove_empty, made)
+        stack.callback(_remove_empty, missing)
         with _clear_errors(output.root):
             output.root.parent.mkdir(parents=True, exist_ok=True)
         stack.enter_context(lock_output(output.root))
@@ -225,8 +225,8 @@ def _require_ours(work: Path, names: tuple[str, ...]) -> None:
     if work.is_symlink() or (work.exists() and not work.is_dir()):
         foreign = [work.name]
     else:
-        found = sorted(path.name for path in work.glob("*"))
-        foreign = [name for name in found if name not in (*names, _PROBE) and not re.fullmatch(r"\..*\.tmp", name)]
+        entries = sorted(path.name for path in work.glob("*"))
+        foreign = [name for name in entries if name not in (*names, _PROBE) and not re.fullmatch(r"\..*\.tmp", name)]
     if foreign:
         raise DatasetError(
             "There is something else in the folder for unfinished output.",

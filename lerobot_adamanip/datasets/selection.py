@@ -85,9 +85,9 @@ def read_selection(root: Path, episodes: int) -> Selection:
     try:
         content = _SELECTION("the selection", read(path, max_bytes=100_000_000))
         content.pop("format")
-        found = Selection(**content)
-        if len(found.episodes) != episodes or max(found.episodes) >= found.source_episodes:
-            raise ValueError(f"it lists {len(found.episodes)} episodes of {found.source_episodes}")
+        selection = Selection(**content)
+        if len(selection.episodes) != episodes or max(selection.episodes) >= selection.source_episodes:
+            raise ValueError(f"it lists {len(selection.episodes)} episodes of {selection.source_episodes}")
     except (OSError, ValueError) as error:
         raise DatasetError(
             "Cannot read which episodes this part of a dataset holds.",
@@ -95,7 +95,7 @@ def read_selection(root: Path, episodes: int) -> Selection:
             allowed=f"{episodes} indices, as `adamanip filter` and `adamanip split` write them",
             hint=f"rename {path.name}: the dataset is then independent of others",
         ) from error
-    return found
+    return selection
 
 
 def write_selection(root: Path, selection: Selection) -> None:
@@ -107,7 +107,7 @@ def write_selection(root: Path, selection: Selection) -> None:
 
 def identity(root: Path) -> str:
     """Returns a hash of a dataset's metadata, which include statistics of every episode."""
-    made = hashlib.sha256()
+    digest = hashlib.sha256()
     for path in (root / "meta" / "info.json", *sorted((root / "meta" / "episodes").glob("*/*.parquet"))):
-        made.update(path.read_bytes())
-    return made.hexdigest()[:32]
+        digest.update(path.read_bytes())
+    return digest.hexdigest()[:32]

@@ -24,7 +24,7 @@ _NOT_NUMERIC = (*PICTURES, "string", "language")
 _CLOUD_STEP = 1e-4
 """Resolution of the quantiles of clouds [m]."""
 _CLOUD_REACH = 100_000
-"""Largest coordinate of a cloud in quantiles, in steps; farther points count as being there."""
+"""Largest coordinate of a cloud in quantiles, in steps; farther points are clipped to it."""
 _BATCH_ROWS = 1024
 
 
@@ -73,13 +73,13 @@ def row_statistics(paths: Sequence[Path], features: Mapping[str, Mapping[str, An
     Raises:
         OSError, ArrowException: a data file cannot be read.
     """
-    found: Statistics = {}
+    statistics: Statistics = {}
     for key, feature in features.items():
         if feature["dtype"] not in _NOT_NUMERIC:
             with contextlib.suppress(_IrregularCellsError):
                 compute = cloud_statistics if key == POINT_CLOUD else value_statistics
-                found[key] = compute(_batches(paths, key))
-    return found
+                statistics[key] = compute(_batches(paths, key))
+    return statistics
 
 
 class _IrregularCellsError(Exception):

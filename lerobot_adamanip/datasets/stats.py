@@ -113,7 +113,7 @@ class DatasetStats:
 
 
 def read_stats(root: str | Path) -> DatasetStats:
-    """Counts a dataset; labels of its rows stand in where the columns of its episodes lack counts.
+    """Counts a dataset, from the columns of its episodes or, where they lack counts, from the labels of its rows.
 
     Raises:
         DatasetError: it is missing or half written, or the columns of its episodes are invalid.

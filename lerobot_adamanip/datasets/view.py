@@ -41,7 +41,7 @@ Array = NDArray[np.float32]
 
 
 class ShownTry(NamedTuple):
-    """A try; ``progress`` is its joint's motion in the commanded direction [rad or m]; it may recover a failed one."""
+    """A try; ``progress``: motion of its joint in the commanded direction [rad or m]; ``recovers``: after a failure."""
 
     key_frame: int
     joint: str
@@ -60,8 +60,8 @@ class ShownEpisode:
         tools: (T, 10) poses of the tool, as in the contract's action.
         goals: (T - 1, 10) commanded poses.
         effort: (T, 7) external joint torques [N m]; empty if not recorded.
-        phases: of each key frame; None if unlabelled.
-        outcomes: of each key frame; None if not recorded.
+        phases: phase of each key frame; None if unlabelled.
+        outcomes: outcome of each key frame; None if not recorded.
         tries: in order.
     """
 

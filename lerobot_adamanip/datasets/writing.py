@@ -23,7 +23,7 @@ _OPTIONS: dict[str, Any] = {
     "video_backend": "pyav",
     "video_files_size_in_mb": 25,
 }
-"""Files are small because LeRobot copies the whole video file to append an episode."""
+"""LeRobot's options. Video files are small, because LeRobot copies a whole file to append an episode."""
 
 
 def create_dataset(
@@ -40,8 +40,8 @@ def create_dataset(
 
     Args:
         root: a folder that does not exist.
-        repo_id: for LeRobot.
-        features: its columns, see `schema.dataset_features`.
+        repo_id: repository id for LeRobot.
+        features: columns of the dataset, see `schema.dataset_features`.
         fps: rows per second.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
         workspace: see `cloud_info`.

@@ -212,8 +212,11 @@ class KeyFrameMotion:
         self._duration = path_duration(distance, angle, self._limits)
 
     def action(self) -> NDArray[np.float32]:
-        """Returns the next action: towards the point of the path that is `LEAD` ahead."""
-        share = min(1.0, (self._time + self._step_time + LEAD) / self._duration)
+        """Returns the next action: towards the point of the path that is `LEAD` ahead, less at its start.
+
+        A strained arm first gives up its strain.
+        """
+        share = min(1.0, (self._time + self._step_time + min(LEAD, self._time)) / self._duration)
         smooth = np.array([share**3 * (10 - 15 * share + 6 * share**2)])
         (target,) = (
             straight_path(self._start, self._goal.tcp_in_base, smooth) if share < 1 else [self._goal.tcp_in_base]

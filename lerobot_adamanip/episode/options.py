@@ -21,7 +21,8 @@ RENDER_BACKENDS = ("auto", "cuda", "cpu")
 """``auto``: the first of the other two that works on this machine."""
 CLOUD_SOURCES = ("raycast", "render")
 """``raycast``: by embreex, no renderer needed; ``render``: by the renderer, ten times slower. Equal clouds."""
-IMAGE_SOURCES = ("raycast", "render")
+RAYCAST, RENDER = "raycast", "render"
+IMAGE_SOURCES = (RAYCAST, RENDER)
 """``raycast``: coloured images by ray casting, on any machine; ``render``: by the renderer, which needs Vulkan."""
 EPISODE_SECONDS = 30
 """Default duration of an episode of dense control [s]."""
@@ -66,12 +67,12 @@ class EnvironmentOptions:
         max_key_frames: per episode.
         max_failed_tries: maximum failed tries; the next failed try ends the episode. A number, `BEST`, or None.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
-        split: of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
+        split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
         cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
         episode_log: file to which each finished episode appends a line of JSON.
-        run_id: of the evaluation, in those lines; drawn anew by default.
+        run_id: id of the evaluation, in those lines; drawn anew by default.
         run_label: name of the run in reports, for instance the policy.
         logged_seeds: log only episodes whose seed, before mapping, is in this range (first, excluded end); default all.
         workspace: box that the cloud is cropped to, robot base frame [m]; or a mapping with ``lower`` and ``upper``.
@@ -139,7 +140,7 @@ class EnvironmentOptions:
         for name in self.cameras or ():
             require_choice("camera", name, CAMERAS, hint="--env.cameras='[front,wrist]'")
         if self.cameras is not None:
-            object.__setattr__(self, "cameras", tuple(self.cameras))
+            object.__setattr__(self, "cameras", tuple(dict.fromkeys(self.cameras)))
         if self.image_source is not None:
             require_choice("source of images", self.image_source, IMAGE_SOURCES, hint="--env.image_source=raycast")
         check_num_points(self.num_points)
@@ -174,7 +175,7 @@ class EnvironmentOptions:
     @property
     def images_from(self) -> str:
         """One of `IMAGE_SOURCES`."""
-        return self.image_source or ("raycast" if self.is_dense else "render")
+        return self.image_source or (RAYCAST if self.is_dense else RENDER)
 
     @property
     def observes_cloud(self) -> bool:

@@ -53,7 +53,7 @@ class KeyframeEnvironment(Protocol):
         """Names of the object's joints, in the order of `labels`; the joint that opens comes first."""
 
     def software_versions(self) -> dict[str, str]:
-        """Returns name -> version of all that episodes depend on; see `lerobot_adamanip.contract.versions`."""
+        """Returns name -> version of the software that decides episodes; see `lerobot_adamanip.contract.versions`."""
 
     def hidden_state(self) -> dict[str, Any]:
         """Returns the hidden draw of this episode, JSON-able. Privileged."""
@@ -96,12 +96,12 @@ class KeyFrame:
 
     Attributes:
         observation: before the action.
-        goal: of the expert.
+        goal: goal of the expert.
         feedback: after the action.
         following: observation after the action.
         success: whether the task is done by now.
         labels: its try and the result.
-        executed: (10,) action that was sent, if it is not the goal: see `lerobot_adamanip.collection.corrections`.
+        executed: (10,) action that was sent, if it is not the goal's; see `lerobot_adamanip.collection.corrections`.
     """
 
     observation: Observation

@@ -1,4 +1,4 @@
-"""Tries: what the arm's contacts do to the joints of an object, followed tick by tick.
+"""Tries: pushes of the arm on the joints of an object, tracked tick by tick.
 
 One definition for simulator, labels, limits, logs and metrics, for every kind of control. A *try* is a maximal stretch
 of control ticks in which the arm pushes one joint in one direction. It ends when the arm lets go, turns back, or rests
@@ -19,14 +19,14 @@ MIN_JOINT_MOTION = {"revolute": 0.02, "prismatic": 0.001}
 MIN_TICK_MOTION = {"revolute": 5e-4, "prismatic": 2.5e-5}
 """Least motion of a joint in one control tick that counts as motion [rad, m]."""
 MIN_SENT_SHARE = 0.5
-"""Least share of a joint's motion that the arm was sent, if the arm moves the joint; else a spring or gravity does."""
+"""Share of a joint's motion that the arm must command; with less, a spring or gravity moves the joint."""
 REST_TICKS = 5
 """Control ticks without a push after which a stretch of pushing is interrupted."""
 
 
 @dataclass(frozen=True)
 class Push:
-    """What the arm does to a joint that it touches, in one control tick.
+    """Push of the arm on a joint that it touches, in one control tick.
 
     Attributes:
         sent: motion of the arm's target in this tick, along the joint's motion [rad or m].
@@ -63,8 +63,8 @@ class _JointState:
     """Progress of one joint: its present try, and the motion since the latest one ended.
 
     Attributes:
-        kind: of the joint.
-        position: at the latest tick [rad or m].
+        kind: kind of the joint.
+        position: position at the latest tick [rad or m].
         start: where the present try, or the motion without a try, started.
         sent: motion of the arm's target since then, or since the joint was farthest, along its motion [rad or m].
         quiet: control ticks since the latest push.
@@ -114,7 +114,7 @@ class TryTracker:
         return sum(each.failed and each not in present for each in self.tries)
 
     def at_rest(self) -> frozenset[str]:
-        """Returns the joints that no try moves and that stand by themselves: at zero, or without contact."""
+        """Returns the joints that no try moves and that do not need the arm to stay: at zero, or without contact."""
         return frozenset(
             name
             for name, state in self._states.items()
@@ -126,7 +126,7 @@ class TryTracker:
         """Advances by one control tick.
 
         Args:
-            pushes: of each joint that the arm touches.
+            pushes: push on each joint that the arm touches.
             positions: joint positions at the end of the tick [rad or m].
         """
         for joint, (name, state) in enumerate(self._states.items()):
@@ -180,18 +180,18 @@ class TryTracker:
 
 
 OPENING_TICKS = 15
-"""Control ticks in which fingers open; what they still push meanwhile is of the key frame before."""
+"""Control ticks in which fingers open. A push in this time belongs to the key frame before."""
 
 
 class KeyFrameLabeler:
     """Labels key frames, or dense steps, by the tries of a `TryTracker`, one after the other.
 
     Args:
-        tracker: of the episode.
-        is_dense: whether steps are too short to hold a whole try: then a step has the label of a try that goes on.
+        tracker: tracker of the episode.
+        is_dense: whether steps are too short to hold a whole try: then a step has the label of a try that continues.
 
     Attributes:
-        labels: of the latest step.
+        labels: labels of the latest step.
     """
 
     def __init__(self, tracker: TryTracker, *, is_dense: bool = False) -> None:
@@ -206,8 +206,8 @@ class KeyFrameLabeler:
 
         Args:
             positions: joint positions at its end [rad or m].
-            opens: whether the hand was open at its end. A try that goes on from before is then not of this key frame,
-                unless it lasts more than `OPENING_TICKS`.
+            opens: whether the hand was open at its end. A try that continues from before then belongs to the key frame
+                before, unless it lasts more than `OPENING_TICKS`.
         """
         tracker = self._tracker
         ticks = [each.ticks for each in tracker.tries]
@@ -216,10 +216,12 @@ class KeyFrameLabeler:
         self.labels = KeyFrameLabels(trial=self._failed)
         goes_on = number < len(self._ticks) and not self._is_dense
         if length > (OPENING_TICKS if goes_on and opens else REST_TICKS if goes_on else 0):
-            made = tracker.tries[number]
-            name = list(tracker.kinds)[made.joint]
-            progress = made.direction * (positions[name] - self._positions[name])
-            self.labels = KeyFrameLabels(made.joint, made.failed, progress, self._failed, made.direction, number)
+            longest = tracker.tries[number]
+            name = list(tracker.kinds)[longest.joint]
+            progress = longest.direction * (positions[name] - self._positions[name])
+            self.labels = KeyFrameLabels(
+                longest.joint, longest.failed, progress, self._failed, longest.direction, number
+            )
         self._positions, self._failed = dict(positions), tracker.failed_tries
         self._ticks = ticks
         return self.labels

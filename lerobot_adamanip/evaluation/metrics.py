@@ -74,7 +74,7 @@ def count_tries(record: EpisodeRecord) -> int:
 def necessary_tries(record: EpisodeRecord) -> tuple[float, int]:
     """Returns the failed tries that a strategy without sight of the hidden state needs, expected and at worst.
 
-    They are those of the category: a policy does not know what is hidden in this episode.
+    The numbers are the category's, because a policy does not know the hidden state of this episode.
     """
     return best_tries(record.category, record.provenance.mechanism_rules, record.hidden_state)
 
@@ -85,7 +85,7 @@ def within_best_tries(record: EpisodeRecord) -> bool:
 
 
 def within_own_tries(record: EpisodeRecord) -> bool:
-    """Returns the same, where an unlocked object allows no failed try, although others of the category are locked."""
+    """Returns `within_best_tries`, but an unlocked object allows no failed try."""
     return record.success and record.failed_tries <= (0 if record.locked is False else necessary_tries(record)[1])
 
 
@@ -290,14 +290,14 @@ class Metrics:
         episodes, successes = values.pop("episodes"), values.pop("successes")
         metrics = cls(success=rate(successes, episodes), **values)
         if metrics.key_frames is not None and sum(metrics.key_frames.values()) != successes:
-            raise ValueError(f"{name}: key_frames are not of {successes} successes")
+            raise ValueError(f"{name}: key_frames do not add up to {successes} successes")
         if sum((metrics.failures or {}).values()) not in (0, episodes - successes):
-            raise ValueError(f"{name}: causes are not of the episodes that failed")
+            raise ValueError(f"{name}: failures do not add up to the failed episodes")
         if any(part.episodes > episodes for part in (metrics.hidden or {}).values()):
             raise ValueError(f"{name}: a hidden value has more than {episodes} episodes")
         within = metrics.within_best_tries
         if within and (within.episodes != episodes or within.count > successes):
-            raise ValueError(f"{name}: within_best_tries has other episodes, or more successes, than success")
+            raise ValueError(f"{name}: within_best_tries has other episodes than success, or more successes")
         return metrics
 
 

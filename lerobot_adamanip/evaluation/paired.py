@@ -52,7 +52,7 @@ def _in_order(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
 
 
 def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcome: str) -> PairedDifference:
-    """Returns the share of scenes with at least an outcome, of the first policy minus that of the second.
+    """Returns the difference of two policies, first minus second, in the share of scenes with at least ``min_outcome``.
 
     Equal seeds of several evaluations (categories) count as one scene, because they draw similar poses and hidden
     states. The interval is Student's t with one added scene for either policy (Bonett and Price 2012, for proportions),

@@ -27,8 +27,8 @@ class Origin:
     """Software behind a number.
 
     Attributes:
-        commit: of the repository; None outside one. ``changed``: whether tracked files differ from it.
-        version: of this package. ``versions``: `lerobot_adamanip.contract.versions.installed_versions`.
+        commit: commit of the repository; None outside one. ``changed``: whether tracked files differ from it.
+        version: version of this package. ``versions``: `lerobot_adamanip.contract.versions.installed_versions`.
     """
 
     commit: Annotated[str | None, json_fields.optional(HASH)]

@@ -42,7 +42,7 @@ class Provenance:
 
     Attributes:
         simulation_version: see `lerobot_adamanip.contract.versions.SIMULATION_VERSION`.
-        version: of this package.
+        version: version of this package.
         mechanism_rules: rule set of the mechanisms, see `lerobot_adamanip.mechanisms`.
         run_id: shared by all environments of an evaluation; None outside one.
         run_label: label given by the user, for instance the policy's name; None without one.
@@ -237,7 +237,7 @@ def read_log(path: Path) -> list[EpisodeRecord]:
 
 
 def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
-    """Returns the records with each episode once: the last one of equal episodes, in order.
+    """Returns the records without repeated episodes; of equal episodes, the last one stays.
 
     Episodes are equal if seed, object and hidden state are. A seed on seen and on unseen objects is two episodes.
     """

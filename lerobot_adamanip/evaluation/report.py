@@ -103,8 +103,8 @@ class EvaluationSummary:
         repeats: number of dropped records whose episode appears again later.
         groups: metrics of each group; `ALL` always exists and comes first.
         objects: success by object id.
-        made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; more than one each
-            if evaluations were mixed.
+        made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; several values if
+            evaluations were mixed.
         versions: installed versions of each episode, by name.
         limits: field of a record in `_LIMITS` -> values that occur, as text.
     """
@@ -156,7 +156,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
 
     Args:
         records: records of its log.
-        boundaries: of continuous hidden values, see `hidden_boundaries`; by default those of these records.
+        boundaries: boundaries of continuous hidden values, see `hidden_boundaries`; by default those of these records.
     """
     kept = without_repeats(records)
     objects: dict[str, list[bool]] = {}
@@ -189,8 +189,8 @@ class Comparison:
 
     Attributes:
         summaries: by label, with equal boundaries of continuous hidden values.
-        differences: of the first from each other one on the same scene split, by group.
-        extra_tries: label of another one -> failed tries of the first minus its own, in the scenes that both opened.
+        differences: success of the first evaluation minus that of each other one on the same scene split, by group.
+        extra_tries: label of another evaluation -> failed tries of the first minus its own, where both succeeded.
     """
 
     summaries: Mapping[str, EvaluationSummary]

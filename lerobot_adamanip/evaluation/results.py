@@ -66,7 +66,7 @@ class ResultRow:
         mechanism_rules: see `MECHANISM_RULES`; also those of earlier versions.
         category: category, for instance ``safe``.
         objects: one of `OBJECT_SPLITS`.
-        metrics: of these episodes; failed and unreachable ones count too.
+        metrics: metrics of these episodes; failed and unreachable ones count too.
         scene_outcomes, scene_tries: outcome and failed tries of each scene, see `lerobot_adamanip.evaluation.paired`;
             empty if not kept.
     """
@@ -159,19 +159,19 @@ class TrainingLog:
 
     @property
     def change(self) -> float:
-        """Relative change of the loss from the last but one fifth of the training to the last; negative if it falls."""
+        """Relative change of the loss from the fourth fifth of the training to the last fifth; negative if it falls."""
         before, latest = self.losses[-2 * _LATEST : -_LATEST], self.losses[-_LATEST:]
         return sum(latest) / sum(before) - 1 if sum(before) else 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
 class CellRun:
-    """How `adamanip benchmark` made a result.
+    """Run of `adamanip benchmark` behind a result.
 
     Attributes:
         scale, method: names in the declaration.
         package: distribution that declared the method; empty for the declaration itself.
-        seed: of the training.
+        seed: seed of the training.
         options: key of the declared options, from `lerobot_adamanip.benchmark.plan.options_key`.
         data_version: see `lerobot_adamanip.contract.versions`.
         steps: by name, in order: ``collect``, ``train``, ``evaluate``; repeated kinds are ``train_2`` and so on.
@@ -209,12 +209,12 @@ class ResultFile(Origin):
         kind: one of `KINDS`.
         title: description in one line.
         command: measuring command, as typed in the repository's root or in the benchmark's folder.
-        simulation_version: of the episodes.
+        simulation_version: simulation version of the episodes.
         machine: ``cores`` and ``gpu``, without a name.
         scenes: split of the scenes. ``seeds``: the first and the last.
         seconds: duration; None if not measured.
         rows: measured numbers; a benchmark's cell has one row.
-        run: how a benchmark made it; None for others.
+        run: run of a benchmark; None for other results.
     """
 
     kind: Annotated[str, choice(KINDS)]
@@ -286,15 +286,15 @@ def make_result(
     """Returns a result with its origin and machine filled in.
 
     Args:
-        rows: at least one.
+        rows: one or more rows.
         kind: one of `KINDS`.
         title: one line.
         command: as typed; raises `ConfigurationError` if it contains a local path.
         seeds: seeds of the episodes.
         scenes: split of the scenes.
         seconds: duration.
-        simulation_version: of the episodes, if they were not simulated now.
-        versions: installed versions then.
+        simulation_version: simulation version of the episodes, if they were not simulated now.
+        versions: installed versions at that time.
     """
     origin = asdict(present_origin())
     return ResultFile(

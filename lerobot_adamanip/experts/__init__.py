@@ -83,10 +83,10 @@ def make_expert(
         generator: random numbers of the expert's choices.
         trials: failed tries of a motion before the adaptive expert chooses another, at least 1.
         hidden: the hidden state; the static expert needs it, the adaptive one refuses it.
-        strategy: of the adaptive expert: ``paper``, or a key of `Expert.others` (``paper`` if the category lacks it).
-        mechanism_rules: of the environment. An adaptive expert knows a direction that the rules fix for all episodes.
+        strategy: ``paper``, or a key of `Expert.others`; ``paper`` if the category lacks it. For the adaptive expert.
+        mechanism_rules: rules of the environment. An adaptive expert knows a direction that they fix for all episodes.
         positions: joint -> position at the start [rad or m], as a camera sees it; default at rest.
-        feedback: of the hand at the start, if it may hold or touch a part; the expert then continues from there.
+        feedback: feedback at the start, if the hand may hold or touch a part. The expert then continues from there.
         belief: results of tries made before this expert took over.
 
     Raises:

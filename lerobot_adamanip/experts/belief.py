@@ -1,4 +1,4 @@
-"""Knowledge of an expert: part poses, and the tries so far in the episode, by itself or by others.
+"""Knowledge of an expert: part poses, and all tries so far in the episode, its own and others'.
 
 A belief stores only the tries and their measured results. Hidden state has few possible values (a direction, a mode,
 locked or not). A failed try rules some of them out until something else has changed.
@@ -26,7 +26,7 @@ class Knowledge:
 
     Attributes:
         parts: annotated part poses, robot base frame, joints at zero.
-        direction: of the key, if all episodes of the category share it; None if it is drawn per episode.
+        direction: direction of the key, if all episodes of the category share it; None if it is drawn per episode.
     """
 
     parts: Parts
@@ -81,11 +81,11 @@ class Belief:
 
     def blocked_ways(self, joint: str, rest: float) -> set[int]:
         """Returns the signs in which a joint was blocked within ``rest`` [rad or m] of zero, and has never moved."""
-        found = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
-        return found - self._ways(joint, rest)
+        blocked = {each.sign for each in self.tries if each.joint == joint and each.failed and at_rest(each, rest)}
+        return blocked - self._ways(joint, rest)
 
     def way(self, joint: str, rest: float) -> int:
-        """Returns the sign of a joint's free direction, as it has moved or the other one is blocked; 0 if unknown."""
+        """Returns the sign of a joint's free direction: it moved there, or the other one is blocked; 0 if unknown."""
         ways = self._ways(joint, rest)
         blocked = self.blocked_ways(joint, rest)
         if len(ways) == 1:

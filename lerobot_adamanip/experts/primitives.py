@@ -73,7 +73,7 @@ class Hand:
         rng: random numbers of the expert's choices.
         trials: tries of a blocked motion before another is chosen (paper's Table 2; the paper uses 1).
         positions: joint -> position [rad or m]: seen at the start, then measured by the hand that holds its part.
-        feedback: the latest. At the start it matters if the hand may be closed or near a part.
+        feedback: latest feedback. Needed at the start if the hand may be closed or near a part.
         home: (4, 4) pose at the start, if known; the arm can reach any goal from there.
         belief: results of tries made before this expert took over.
         parts: all parts, if the expert takes over and the hand may be near any of them; None if the hand starts open
@@ -110,7 +110,7 @@ class Hand:
         self.feedback = yield Goal(pose, gripper, phase)
 
     def clear(self) -> Frames:
-        """Releases and backs off, if the expert takes over a hand that holds something or is near a part; else nothing.
+        """Releases and backs off, if the expert takes over a hand that holds something or is near a part.
 
         An open hand only backs off: an expert that is restarted at each key frame would otherwise open it forever.
         """
@@ -262,8 +262,8 @@ class Hand:
     def _open_in_one_grip(
         self, part: PartAnnotation, joint: str, path: Sequence[float]
     ) -> Generator[Goal, Feedback, Opening]:
-        least = FOLLOWED * path[0]
-        ahead = [position for position in path if position > self.at(joint) + least] or [path[-1]]
+        min_motion = FOLLOWED * path[0]
+        ahead = [position for position in path if position > self.at(joint) + min_motion] or [path[-1]]
         for number, position in enumerate(ahead):
             start = self.at(joint)
             trying = number == 0 and not self.is_ajar(part, joint)
@@ -271,7 +271,7 @@ class Hand:
             if self.empty:
                 return Opening.LOST
             # Checked at each step: a slipping grip leaves the joint behind.
-            if self.feedback.failed and self.at(joint) - start < least:
+            if self.feedback.failed and self.at(joint) - start < min_motion:
                 if self.is_ajar(part, joint):
                     break  # heavy, not locked: keep pulling from here
                 self.positions[joint] = start  # a blocked joint has not moved; the hand gave way

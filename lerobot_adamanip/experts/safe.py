@@ -57,7 +57,7 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 
 def turn_knob(hand: Hand, knob: PartAnnotation, directions: tuple[int, ...]) -> Frames:
-    """Turns the knob to its stop in the first of ``directions`` it follows; a turned knob continues its direction."""
+    """Turns the knob to its stop, in the first free one of ``directions`` or in the direction of an earlier turn."""
     if not (yield from hand.grasp(knob)):
         yield from hand.regrasp(knob)
     if abs(hand.at("knob")) > TURNED:

@@ -20,7 +20,7 @@ from lerobot_adamanip.objects import PartAnnotation
 MAX_MOTIONS = 30
 """Turns, each with at most one try, before an adaptive expert gives up: twice as many as the widest range needs."""
 MAX_OPENINGS = 3
-"""Rounds of turning and opening by a static expert; it needs a second one only after a slipped grip."""
+"""Rounds of turning and opening by a static expert. It needs a second round only after a slipped grip."""
 RELEASED = 0.9
 """Share of the range that a static expert turns; the final joint is free at 0.85."""
 TURN_LAG_RATIO = 0.04

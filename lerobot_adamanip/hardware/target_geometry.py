@@ -22,7 +22,7 @@ Target = NDArray[np.float32]
 ROUGH = 0.2
 """Maximum correctable error of a rotation's rows. Policies have about 0.01, noise about 1."""
 EXACT = 2e-6
-"""Error of a rotation's rows that is not corrected, due to float32 precision."""
+"""Error of a rotation's rows below which it is not corrected: float32 precision."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Searches text for tokens, keys, passwords, and addresses of machines and people. Sends nothing: tries no secret."""
+"""Searches text for tokens, keys, passwords, and addresses of machines and people. Sends nothing."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _OWN = {
     "W&B key": r"(?<!\w)wandb_v\d_\w{30,}|(?i:wandb|api_?key|token|password)\W{1,6}[0-9a-f]{40}(?![0-9a-f])",
     "password": rf"(?i)(?:{_NAME})[\"']?\s*[:=]\s*[\"']?(?!{_NO_VALUE})[^\s\"'<>{{}}$,;()\[\]]{{8,}}",
 }
-"""Name -> pattern of what detect-secrets does not know."""
+"""Kind of secret that detect-secrets does not know -> its pattern."""
 
 
 def find_secrets(text: str) -> Iterator[tuple[str, str]]:
-    """Yields the name of a kind of secret and its first letters, for the error to name it and not to spread it."""
+    """Yields kind and first letters of each secret in a text. The rest stays out of error messages."""
     for name, pattern in _OWN.items():
         for match in re.finditer(pattern, text):
             yield name, _shortened(match.group())

@@ -1,11 +1,11 @@
-"""Patch: tell robots and teleoperators when an episode begins and ends.
+"""Patch: notify robots and teleoperators when an episode begins and ends.
 
 Changes:
     ``record_loop`` of `lerobot.scripts.lerobot_record`, which runs once per episode and once per pause between
     episodes. It gets a wrapper; its own code stays.
 Why:
-    LeRobot does not tell a robot that an episode begins. The twin must reset its scene. A teleoperator must start from
-    the robot's current pose, and the scripted one must end the episode.
+    LeRobot does not notify a robot when an episode begins. The twin must reset its scene. A teleoperator must start
+    from the robot's current pose, and the scripted one must end the episode.
 Without it:
     The twin keeps its scene between episodes, no teleoperator ends one, and only the clutch anchors goals.
 Upstream:

@@ -1,4 +1,4 @@
-"""Failed tries of an optimal strategy that cannot see what is hidden."""
+"""Failed tries of an optimal strategy that does not know the hidden state."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def best_tries(category: str, mechanism_rules: str, hidden: Collection[str]) -> 
     """Returns the failed tries of an optimal blind strategy, expected and at worst.
 
     Args:
-        category: of the object.
+        category: category of the object.
         mechanism_rules: see `MECHANISM_RULES`.
         hidden: names of the hidden values.
     """

@@ -165,7 +165,7 @@ BUTTON_RELEASE = 0.7
 
 @dataclass(frozen=True)
 class MicrowaveState:
-    """``locked``: as drawn. ``released``: whether the door can open, from the start or since; it stays released."""
+    """``locked``: the draw. ``released``: whether the door can open; once released, it stays so."""
 
     locked: bool
     released: bool

@@ -1,4 +1,4 @@
-"""Tells in which categories a set of mechanism rules changes nothing."""
+"""Categories in which a set of mechanism rules changes nothing."""
 
 from __future__ import annotations
 

@@ -98,7 +98,7 @@ def _draw_plan(rng: np.random.Generator, color: NDArray[np.float64]) -> LeafPlan
 
 
 def draw_novel_design(rng: np.random.Generator) -> DoorDesign:
-    """Samples a door narrower and lower, or wider and taller, than all seen ones, with new leaf and handle styles."""
+    """Samples a novel door: narrower and lower, or wider and taller, than every seen one; new leaves and handles."""
     base = draw(DoorDesign, rng)
     small = rng.random() < 0.5
     color = np.asarray(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))]) * rng.uniform(0.85, 1.1)

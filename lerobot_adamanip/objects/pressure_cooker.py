@@ -89,7 +89,7 @@ class PressureCookerDesign:
 
 
 def draw_novel_design(rng: np.random.Generator) -> PressureCookerDesign:
-    """Samples a cooker wider and lower, or slimmer and taller, than all seen ones, in new styles."""
+    """Samples a novel cooker: wider and lower, or slimmer and taller, than every seen one; new styles."""
     base = draw(PressureCookerDesign, rng)
     wide = rng.random() < 0.5
     radius = rng.uniform(0.126, 0.134) if wide else rng.uniform(0.082, 0.090)

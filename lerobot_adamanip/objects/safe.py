@@ -100,7 +100,7 @@ def _draw_layout(
 
 
 def draw_novel_design(rng: np.random.Generator) -> SafeDesign:
-    """Samples a safe narrower and taller, or wider and lower, than all seen ones, with new handle and knob styles."""
+    """Samples a novel safe: narrower and taller, or wider and lower, than every seen one; new handles and knobs."""
     base = draw(SafeDesign, rng)
     tall = rng.random() < 0.5
     width = rng.uniform(0.29, 0.33) if tall else rng.uniform(0.47, 0.50)

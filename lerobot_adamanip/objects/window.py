@@ -48,7 +48,7 @@ class WindowDesign:
     """Parameters of one window [m]. Positions on the sash: u from its hinge edge, v from its lower edge.
 
     Attributes:
-        width, height: of the sash; ``stile`` is the width of its members.
+        width, height: width and height of the sash; ``stile`` is the width of its members.
         hinge_side: +1 if hinged at +y.
         light: width of a side light, or height of a transom; ``mullion`` is the width of the divider to the sash.
         bars: numbers of vertical and horizontal glazing bars.
@@ -107,7 +107,7 @@ class WindowDesign:
 
 
 def draw_novel_design(rng: np.random.Generator) -> WindowDesign:
-    """Samples a window narrower and taller, or wider and lower, than all seen ones, with new bar and handle styles."""
+    """Samples a novel window: narrower and taller, or wider and lower, than every seen one; new bars and handles."""
     base = draw(WindowDesign, rng)
     tall = rng.random() < 0.5
     height = rng.uniform(0.54, 0.62) if tall else rng.uniform(0.29, 0.34)

@@ -165,10 +165,10 @@ def _grips(episode: DenseEpisode, fps: int) -> NDArray[np.bool_]:
 
 def _sent_for(episode: DenseEpisode, grips: NDArray[np.bool_], rows: NDArray[np.int64]) -> NDArray[np.int64]:
     """Drops key frames during a finger motion, e.g. when a hand opens after a blocked pull."""
-    wanted = episode.sent[:, schema.GRIPPER_DIM] > 0.5
+    sent_open = episode.sent[:, schema.GRIPPER_DIM] > 0.5
     kept = [int(rows[0])]
     for row in rows[1:].tolist():
-        if row == rows[-1] or (wanted[kept[-1] + 2 : row + 1] == grips[row]).any():
+        if row == rows[-1] or (sent_open[kept[-1] + 2 : row + 1] == grips[row]).any():
             kept.append(row)
     return np.array(kept, np.int64)
 

@@ -111,10 +111,10 @@ class DenseRecording:
         readings = columns[ARM if ARM in columns else schema.STATE]
         names = self._names
 
-        def numbers(wanted: Sequence[str], default: float) -> NDArray[np.float32]:
-            if not set(wanted) <= set(names):
-                return np.full((len(readings), len(wanted)), default, np.float32)
-            return readings[:, [names.index(name) for name in wanted]].astype(np.float32, copy=False)
+        def numbers(selected: Sequence[str], default: float) -> NDArray[np.float32]:
+            if not set(selected) <= set(names):
+                return np.full((len(readings), len(selected)), default, np.float32)
+            return readings[:, [names.index(name) for name in selected]].astype(np.float32, copy=False)
 
         state = numbers(schema.STATE_NAMES, np.nan)
         if not np.isfinite(state).all() or len(state) < 2:

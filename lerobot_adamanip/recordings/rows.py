@@ -108,8 +108,8 @@ def _seen(
                 "The recording has no pictures.", got="only depth", allowed="colour and depth", hint="--no-images"
             )
         images.append(square_image(colour, options.image_size))
-    found: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}
-    return found | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
+    columns: dict[str, NDArray[Any]] = {schema.POINT_CLOUD: np.stack(clouds).reshape(len(clouds), -1)}
+    return columns | ({schema.FRONT_IMAGE: np.stack(images)} if images else {})
 
 
 def square_image(picture: NDArray[np.uint8], size: int) -> NDArray[np.uint8]:
@@ -133,8 +133,8 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
     side = min(imager.width, imager.height)
     matrix = imager.matrix.copy()
     matrix[:2, 2] -= ((imager.width - side) // 2, (imager.height - side) // 2)
-    wanted = size or side
-    scale = wanted / side
+    pixels = size or side
+    scale = pixels / side
     matrix[:2, 2] += 0.5  # from the corner, where scaling has its fixed point
     matrix = np.diag([scale, scale, 1.0]) @ matrix
     matrix[:2, 2] -= 0.5
@@ -143,7 +143,7 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
     pose = np.eye(4) if depth_pose is None else depth_pose
     if calibration.color is not None and calibration.depth_in_color is not None:
         pose = pose @ np.linalg.inv(calibration.depth_in_color)
-    record = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": wanted, "height": wanted}
+    record = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": pixels, "height": pixels}
     record["convention"] = PIXEL_CONVENTION
     return record if is_fixed else {**record, "frame": "tcp"}
 

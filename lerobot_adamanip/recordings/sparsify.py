@@ -11,7 +11,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
 
 _STANDS, _AWHILE = 1e-3, 3
-"""A goal that moves less than this [m] during this number of samples stands still."""
+"""A goal stands still if it moves less than `_STANDS` [m] in `_AWHILE` samples."""
 _SPRINGS = 2
 """Maximum number of samples in which a pressing arm springs back after its goal is abandoned."""
 _LEVER = 0.1

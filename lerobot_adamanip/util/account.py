@@ -1,4 +1,4 @@
-"""Checks of this process's home folder and user name, before work whose end needs them."""
+"""Checks of this process's home folder and user name, which the end of a collection needs."""
 
 from __future__ import annotations
 

@@ -95,8 +95,9 @@ def no_vulkan_device(reason: object) -> SimulatorError:
         "SAPIEN found no Vulkan device to render with.",
         got=reason,
         allowed="a GPU with a Vulkan driver, or Mesa >= 24.3's lavapipe (mesa-vulkan-drivers)",
-        hint=f"{GET_PICTURES}; or do without pictures: observe_images=False (Python), --env.observe_images=false "
-        "(LeRobot's commands), adamanip collect DIR --no-images",
+        hint=f"--env.image_source=raycast draws pictures without one; {GET_PICTURES}; or do without pictures: "
+        "observe_images=False (Python), --env.observe_images=false (LeRobot's commands), "
+        "adamanip collect DIR --no-images",
     )
 
 

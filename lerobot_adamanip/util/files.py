@@ -19,7 +19,7 @@ CRASH_POINTS = (
 )  # fmt: skip
 """Points of a collection at which a test may end the process."""
 REPAIR_POINTS = ("moved aside", "partly mended")
-"""Points of a repair."""
+"""Points of a repair at which a test may end the process."""
 on_crash_point: Callable[[str], None] | None = None
 """Callback for every crash point; set by tests only."""
 

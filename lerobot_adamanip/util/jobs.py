@@ -81,7 +81,7 @@ class JobResult[Item]:
 
 
 class RunningTime:
-    """Clock that hardly advances while this process is stopped: no worker may count as hanging because of that.
+    """Clock that hardly advances while this process is stopped, so that its workers do not count as hanging.
 
     A process stops for instance after Ctrl-Z, when its machine is paused, or while its caller handles a result.
 
@@ -107,7 +107,7 @@ class Crashes[Item]:
 
     Args:
         per_item: number of crashes after which an item is given up.
-        consecutive: number of crashes without a result in between that ends the job.
+        consecutive: number of consecutive crashes, without a result in between, that ends the job.
     """
 
     def __init__(self, per_item: int, consecutive: int) -> None:

@@ -1,4 +1,4 @@
-"""Pattern of absolute paths, which name a folder of one machine. Used before anything is published."""
+"""Pattern of absolute paths, which are valid on one machine only. Used before anything is published."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ _FOLDERS = (
     "data", "dataset", "datasets", "scratch", "nfs", "gpfs", "lustre", "fsx", "efs", "afs", "share", "shared",
     "storage", "cluster", "project", "projects", "work", "workspace", "workspaces", "content", "kaggle",  # rented ones
 )  # fmt: skip
-"""First folders of paths that differ between machines. Those that all have, such as /usr and /dev, are none."""
+"""First folders of paths that differ between machines; not those of every machine, such as /usr and /dev."""
 _SYSTEM = "usr|dev|proc|sys|etc|bin|lib|lib64|sbin|run|boot"
 
 _BEFORE = r"(?<![\w.~<>{}*)\]$-])"

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, Outcome, Phase
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.contract.versions import software_versions
@@ -98,7 +97,10 @@ class FakeEnv:
         return self.pictures_at(self.joints())["front"]
 
     def pictures_at(self, joints: np.ndarray) -> dict[str, np.ndarray]:
-        return {name: self.picture(joints) ^ np.uint8(255 * number) for number, name in enumerate(CAMERAS)}
+        return {
+            name: self.picture(joints) ^ np.uint8(255 * number)
+            for number, name in enumerate(self.options.observed_cameras)
+        }
 
     def picture(self, joints: np.ndarray) -> np.ndarray:
         corner = np.array((100 * joints[0], 100 * joints[9], (self.seed or 0) % 251), np.uint8)

@@ -29,7 +29,7 @@ OBJECTS = ("safe_000", "safe_001")
 LATE = 0.5
 _ENVIRONMENT = (
     "num_points", "image_size", "observe_images", "cloud_source", "poses", "mechanism_rules", "max_key_frames",
-    "max_failed_tries", "hidden_overrides", "assets",
+    "max_failed_tries", "hidden_overrides", "assets", "cameras",
 )  # fmt: skip
 
 

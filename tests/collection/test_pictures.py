@@ -8,12 +8,13 @@ from typing import Any
 
 import demos_fake_env
 import pytest
-from demos_helpers import make_spec, same_bytes
+from demos_helpers import fakes, make_spec, same_bytes
 
+from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
+from lerobot_adamanip.contract.cameras import FRONT, WRIST, image_column
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.datasets.check.features import check_features
 from lerobot_adamanip.datasets.check.findings import Report
@@ -39,17 +40,14 @@ def test_pictures_added_later_make_the_dataset_that_has_them_from_the_start(
     assert not (tmp_path / f"{out.name}.partial").exists()
 
 
-def test_a_second_camera_is_recorded_for_one_row_of_the_table(
-    tmp_path: Path, unpictured: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setitem(CAMERAS, "side", CAMERAS[FRONT])
-    env = make_env(make_spec().environment_of("safe"))
+def test_a_second_camera_is_recorded_for_one_option(tmp_path: Path) -> None:
+    env = make_env(make_spec(cameras=(FRONT, WRIST)).environment_of("safe"))
     observation, _ = env.reset(seed=1, options={"object_id": "safe_000"})
-    assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column("side")}
-    add_pictures(unpictured, out := tmp_path / "dataset", make_env)
+    assert observation_columns(observation).keys() >= {schema.FRONT_IMAGE, image_column(WRIST)}
+    collect(out := tmp_path / "dataset", make_spec(cameras=(FRONT, WRIST)), fakes(), CollectOptions(workers=1))
     assert schema.dataset_features(8, 64).keys() < Dataset(out).features.keys()
     row = open_dataset(out, video_backend="pyav", return_uint8=True)[0]
-    assert abs(row[image_column("side")].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
+    assert abs(row[image_column(WRIST)].float().mean() + row[schema.FRONT_IMAGE].float().mean() - 255) < 12
     report = Report()
     check_features(Dataset(out).features, report, collected=True)
     assert report.clean

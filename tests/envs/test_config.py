@@ -13,7 +13,7 @@ from lerobot.envs.factory import make_env, make_env_config
 
 import lerobot_env_adamanip  # noqa: F401  (registers the types)
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.seeds import scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions
@@ -75,6 +75,7 @@ def test_every_option_of_an_environment_can_be_typed() -> None:
     """A new option of `EnvironmentOptions` must not be forgotten in LeRobot's configuration."""
     elsewhere = {
         "max_key_frames": "episode_length",
+        "max_steps": "episode_length",
         "workspace": "workspace_lower",
         "hidden_overrides": "locked",
         "category": "type",
@@ -107,15 +108,14 @@ def test_locked_is_true_false_or_left_to_the_draw(given: str | None, overrides: 
 
 
 @pytest.mark.parametrize("images", [True, False])
-def test_features_agree_with_map_space_and_dataset(images: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(CAMERAS, "side", CAMERAS[FRONT])
-    config = AdaManipSafeEnvConfig(observe_images=images, num_points=256, image_size=96)
+def test_features_agree_with_map_space_and_dataset(images: bool) -> None:
+    config = AdaManipSafeEnvConfig(observe_images=images, num_points=256, image_size=96, cameras=list(CAMERAS))
     assert set(config.features) == set(config.features_map)
     assert {name for name in config.features if "pixels" in name} == (
-        {"pixels/front", "pixels/side"} if images else set()
+        {"pixels/front", "pixels/wrist"} if images else set()
     )
     env = FlatCloud(KeyframeEnv(**config.gym_kwargs))
-    dataset = schema.dataset_features(num_points=256, image_size=96)
+    dataset = schema.dataset_features(num_points=256, image_size=96, cameras=CAMERAS)
     for key, feature in config.features.items():
         space: Any = env.observation_space if key != "action" else env.action_space
         for name in key.split("/") if key != "action" else ():
@@ -125,6 +125,27 @@ def test_features_agree_with_map_space_and_dataset(images: bool, monkeypatch: py
         assert (feature.type is FeatureType.ACTION) == (key == "action")
     assert ("pixels" in env.env.observation_space.spaces) is images
     assert env.observation({"point_cloud": np.zeros((256, 3))})["point_cloud"].shape == (768,)
+
+
+@pytest.mark.parametrize("control", ["keyframe", "dense"])
+def test_a_checkpoint_names_the_cameras(control: str) -> None:
+    config = parsed(
+        f"--env.control={control}",
+        "--env.cameras=[front,wrist]",
+        "--env.camera_names=[camera1,camera2]",
+        "--env.image_source=raycast",
+    )
+    (group,) = config.create_envs(1).values()
+    space: Any = group[0].single_observation_space["pixels"]
+    assert list(space) == ["camera1", "camera2"]
+    assert {key for key in config.features if "pixels" in key} == {"pixels/camera1", "pixels/camera2"}
+    assert config.features_map["pixels/camera2"] == "observation.images.camera2"
+
+
+@pytest.mark.parametrize("names", [["camera1"], ["a", "a"], ["a", "b/c"], ["a", ""], ["a", "b", "c"]])
+def test_wrong_names_of_cameras_are_refused(names: list[str]) -> None:
+    with pytest.raises(AdaManipError, match=r"(?s)names of cameras.*got:.*try: +--env.cameras="):
+        AdaManipSafeEnvConfig(cameras=["front", "wrist"], camera_names=names)
 
 
 def test_nothing_hidden_is_a_feature() -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from envs_helpers import at_once_or_at_night
 
+from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal
 from lerobot_adamanip.contract.rotations import transform
@@ -35,7 +36,9 @@ def test_nothing_shows_until_the_part_is_held(task: Any, category: str) -> None:
             script.frames_until_held(task, seed, hidden, image=not NO_VULKAN) for hidden in script.VARIANTS[category]
         )
         assert len(first) >= 4  # reset, two approaches, the grasp
-        assert {"cloud"} | ({"image"} if not NO_VULKAN else set()) <= set(first[-1])
+        pictures = {f"raycast {name}" for name in CAMERAS}
+        pictures |= set() if NO_VULKAN else {f"render {name}" for name in CAMERAS}
+        assert {"cloud"} | pictures <= set(first[0]) & set(first[-1])
         for other in others:
             assert script.differences(first, other) == ()
 

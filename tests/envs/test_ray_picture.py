@@ -11,12 +11,13 @@ import pytest
 import sapien
 from envs_helpers import at_once_or_at_night
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects import Material, Shape
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.looks import shapes_look, smooth_normals
-from lerobot_env_adamanip.sim.ray_picture import ray_picture
+from lerobot_env_adamanip.sim.ray_picture import RayPictures
 from lerobot_env_adamanip.sim.raycast import Body, LinkMesh, PinholeCamera
 from lerobot_env_adamanip.sim.triangles import shape_triangles, shapes_triangles
 
@@ -32,7 +33,7 @@ def box(color: tuple[float, float, float], half: tuple[float, float, float], z: 
 
 
 def test_a_box_has_its_color_and_its_outline() -> None:
-    picture = ray_picture(CAMERA, [box((0.8, 0.1, 0.1), (0.5, 0.3, 0.1), 0.1)], 0.0).astype(int)
+    picture = RayPictures([box((0.8, 0.1, 0.1), (0.5, 0.3, 0.1), 0.1)], 0.0).take(CAMERA).astype(int)
     rays = CAMERA.rays().reshape(SIZE, SIZE, 3) * 2.8
     top = (np.abs(rays[..., 0]) <= 0.5) & (np.abs(rays[..., 1]) <= 0.3)
     red = picture[..., 0] > 2 * picture[..., 1]
@@ -43,14 +44,14 @@ def test_a_box_has_its_color_and_its_outline() -> None:
 
 def test_the_nearer_of_two_bodies_is_seen_in_any_order() -> None:
     bodies = [box((0.8, 0.1, 0.1), (0.5, 0.5, 0.1), 0.1), box((0.1, 0.1, 0.8), (0.2, 0.2, 0.1), 0.9)]
-    picture = ray_picture(CAMERA, bodies, 0.0)
+    picture = RayPictures(bodies, 0.0).take(CAMERA)
     assert picture[SIZE // 2, SIZE // 2].argmax() == 2
-    np.testing.assert_array_equal(picture, ray_picture(CAMERA, bodies[::-1], 0.0))
+    np.testing.assert_array_equal(picture, RayPictures(bodies[::-1], 0.0).take(CAMERA))
 
 
 def test_a_body_darkens_what_it_hides_from_the_light_and_nothing_else() -> None:
     lid, floor = box((0.5, 0.5, 0.5), (0.1, 0.1, 0.01), 1.0), box((0.5, 0.5, 0.5), (3.0, 3.0, 0.01), 0.0)
-    alone, both = ray_picture(CAMERA, [floor], -1.0).astype(int), ray_picture(CAMERA, [floor, lid], -1.0).astype(int)
+    alone, both = (RayPictures(bodies, -1.0).take(CAMERA).astype(int) for bodies in ([floor], [floor, lid]))
     darker = (both < alone - 10).all(-1)
     rows, columns = np.nonzero(darker)
     place = CAMERA.rays().reshape(SIZE, SIZE, 3)[rows, columns] * 2.99
@@ -75,7 +76,8 @@ def test_rays_and_renderer_draw_the_same(envs: Callable[[str], KeyframeEnv], cat
     env = envs(category)
     env.reset(seed=12)
     cameras: Any = env.episode.task.cameras
-    difference = cameras.raycast_image().astype(int) - cameras.image()
-    assert np.median(np.abs(difference)) <= 2
-    # The renderer has no shadows, which only darken. What remains are edges.
-    assert (difference.max(-1) > 30).mean() < 0.05
+    for camera in CAMERAS:
+        difference = cameras.raycast_image(camera).astype(int) - cameras.rendered_image(camera)
+        assert np.median(np.abs(difference)) <= (2 if camera == FRONT else 8)  # a near surface may have one highlight
+        # The renderer has no shadows, which only darken. What remains are edges.
+        assert (difference.max(-1) > 30).mean() < 0.02

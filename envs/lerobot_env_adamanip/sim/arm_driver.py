@@ -238,12 +238,12 @@ class ArmDriver:
         velocity = (target - self._target) / self._dt
         self._target = target
         self._tick(target, velocity)
-        wanted = self._kinematics.tcp_in_base(target)
+        commanded = self._kinematics.tcp_in_base(target)
         actual = self._kinematics.tcp_in_base(self._simulation.arm_state().qpos)
-        x, y, z = (wanted[:3, 3] - actual[:3, 3]).tolist()
+        x, y, z = (commanded[:3, 3] - actual[:3, 3]).tolist()
         # For two rotations at an angle, the trace of one's inverse times the other is 1 + 2 cos(angle).
         lags = x * x + y * y + z * z > self._limits.stall_position**2 or (
-            float(np.vdot(wanted[:3, :3], actual[:3, :3])) < 1.0 + 2.0 * math.cos(self._limits.stall_rotation)
+            float(np.vdot(commanded[:3, :3], actual[:3, :3])) < 1.0 + 2.0 * math.cos(self._limits.stall_rotation)
         )
         self._strained = self._strained + 1 if lags else 0
         return self._strained >= self._limits.stall_ticks
@@ -324,8 +324,8 @@ class ArmDriver:
         return self._target + velocity * self._dt
 
     def posture(self, pose: Array) -> Array:
-        """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present target."""
-        return self._solve(pose, LAST_TOLERANCE).qpos
+        """Returns the joint positions (7,) [rad] of a tool pose (4, 4) near the present ones."""
+        return self._kinematics.solve(pose, self._simulation.arm_state().qpos, iterations=80).qpos
 
     @property
     def is_at_rest(self) -> bool:
@@ -381,12 +381,10 @@ class ArmDriver:
         """Returns joint positions (7,) [rad] of a commanded pose, or the current ones without a nearby solution."""
         solution = self._solve(waypoint, PATH_TOLERANCE)
         follows = solution.within(0.01, 0.06)
-        wanted = pose_error(commanded, waypoint)
+        error = pose_error(commanded, waypoint)
         covered = pose_error(commanded, self._kinematics.tcp_in_base(solution.qpos))
-        moves = wanted @ wanted > PATH_TOLERANCE**2  # less than that is not solved for
-        self._stuck = (
-            self._stuck + 1 if not follows or (moves and covered @ wanted < FOLLOWS * (wanted @ wanted)) else 0
-        )
+        moves = error @ error > PATH_TOLERANCE**2  # less than that is not solved for
+        self._stuck = self._stuck + 1 if not follows or (moves and covered @ error < FOLLOWS * (error @ error)) else 0
         self.unreachable = self._stuck >= self._limits.stall_ticks
         if not follows:
             self._velocity = np.zeros(6)

@@ -17,18 +17,20 @@ from mani_skill.utils.building.ground import build_ground
 from numpy.typing import NDArray
 from sapien.wrapper.actor_builder import ActorBuilder
 
-from lerobot_adamanip.contract.cameras import FRONT
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.pointcloud import Cloud, depth_size
-from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.options import RAYCAST, EnvironmentOptions
 from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.sim.articulation import add_visual
-from lerobot_env_adamanip.sim.ray_picture import ray_picture
+from lerobot_env_adamanip.sim.ray_picture import RayPictures
 from lerobot_env_adamanip.sim.raycast import (
     AROUND,
     Body,
+    PinholeCamera,
     RaycastSensor,
     camera_parameters,
     pinhole,
+    pinhole_at,
     points_in_world,
     visible_bodies,
 )
@@ -51,7 +53,7 @@ class Cameras:
         objects: bodies of the scene, except arm and ground.
         robot: SAPIEN articulation of the arm.
         urdf: its URDF.
-        poses: camera -> its pose.
+        poses: camera -> its pose in the frame of its link.
         options: image size, workspace, source of clouds, rendering device.
         shader: shader pack of ManiSkill's cameras.
     """
@@ -59,14 +61,28 @@ class Cameras:
     objects: ObjectScene
     robot: Any
     urdf: Path
-    poses: Mapping[str, Any]
+    poses: Mapping[str, sapien.Pose]
     options: EnvironmentOptions
     shader: str
     _rendered: dict[tuple[str, int], RenderedCamera] = field(default_factory=dict)
 
     def config(self, name: str = FRONT, size: int | None = None) -> CameraConfig:
-        """Returns a camera's configuration, by default for images."""
+        """Returns a camera's configuration in the frame of its link, by default for images."""
         return camera_config(name, self.poses[name], size or self.options.image_size, self.shader)
+
+    def view(self, name: str = FRONT) -> PinholeCamera:
+        """Returns a camera at its present pose, for images."""
+        pose = self.poses[name] if (mount := self.mount(name)) is None else mount.pose * self.poses[name]
+        return pinhole_at(pose, self.options.image_size, CAMERAS[name].field_of_view)
+
+    def mount(self, name: str) -> Any:
+        """Returns the SAPIEN entity of the link that carries a camera; None if the camera rests."""
+        link = CAMERAS[name].link
+        return self._links[link] if link else None
+
+    @functools.cached_property
+    def _links(self) -> dict[str, Any]:
+        return {link.entity.name: link.entity for link in self.robot.links}
 
     @property
     def cloud_config(self) -> CameraConfig:
@@ -78,17 +94,30 @@ class Cameras:
         return self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
 
     def image(self, name: str = FRONT) -> NDArray[np.uint8]:
-        """Returns a camera's present image (H, W, 3); raises `SimulatorError` if this machine cannot render."""
-        return self._scene(self.config(name)).take()
+        """Returns a camera's present image (H, W, 3) from the source of the options.
+
+        Raises:
+            SimulatorError: the source is ``render``, but this machine cannot render.
+        """
+        return self.raycast_image(name) if self.options.images_from == RAYCAST else self.rendered_image(name)
 
     def picture(self) -> NDArray[np.uint8]:
         """Returns the front camera's image (H, W, 3); without a renderer, by ray casting."""
-        rendered = self._front
-        return rendered.take() if rendered is not None else self.raycast_image()
+        if self.options.images_from == RAYCAST or (rendered := self._front) is None:
+            return self.raycast_image()
+        return rendered.take()
+
+    def rendered_image(self, name: str = FRONT) -> NDArray[np.uint8]:
+        """Returns a camera's present image (H, W, 3) by the renderer; raises `SimulatorError` if there is none."""
+        return self._camera(self.config(name)).take()
 
     def raycast_image(self, name: str = FRONT) -> NDArray[np.uint8]:
-        """Returns a camera's present image (H, W, 3) without a renderer, see `ray_picture`."""
-        return ray_picture(pinhole(self.config(name)), self.bodies, self.objects.ground_z)
+        """Returns a camera's present image (H, W, 3) without a renderer, see `sim.ray_picture`."""
+        return self._ray_pictures.take(self.view(name))
+
+    @functools.cached_property
+    def _ray_pictures(self) -> RayPictures:
+        return RayPictures(self.bodies, self.objects.ground_z)
 
     def color_and_depth(self, source: str = "render") -> Pair:
         """Returns the front camera's present colour and depth, of one moment.
@@ -115,23 +144,26 @@ class Cameras:
     @property
     def depth_scene(self) -> RenderedCamera:
         """Rendered front camera with the size of `rays`."""
-        return self._scene(self.cloud_config)
+        return self._camera(self.cloud_config)
 
     @functools.cached_property
     def _front(self) -> RenderedCamera | None:
         """Returns the rendered front camera; None, with one warning, if this machine cannot render."""
         try:
-            return self._scene(self.config())
+            return self._camera(self.config())
         except SimulatorError as error:
             _warn_once("Images are drawn by ray casting: " + str(error).split("\n")[0])
             return None
 
-    def _scene(self, config: CameraConfig) -> RenderedCamera:
+    def _camera(self, config: CameraConfig) -> RenderedCamera:
         key = config.uid, config.width
         if key not in self._rendered:
-            device = self.options.render_backend
-            self._rendered[key] = RenderedCamera(self.objects, self.robot, self.urdf, config, device)
+            self._rendered[key] = RenderedCamera(self._scene, config, self.mount(config.uid))
         return self._rendered[key]
+
+    @functools.cached_property
+    def _scene(self) -> RenderedScene:
+        return RenderedScene(self.objects, self.robot, self.urdf, self.options.render_backend)
 
     @functools.cached_property
     def bodies(self) -> list[Body]:
@@ -143,29 +175,53 @@ class Cameras:
         return camera_parameters(pinhole(self.config()))
 
 
-class RenderedCamera:
-    """Renders the physics scene's bodies at their present poses, in a second scene; the first has no renderer.
+class RenderedScene:
+    """Copies the physics scene's bodies at their present poses into a second scene; the first has no renderer.
 
     Raises `SimulatorError` if this machine cannot render.
     """
 
-    def __init__(self, objects: ObjectScene, robot: Any, urdf: Path, camera: CameraConfig, render_backend: str) -> None:
-        self._scene = empty_scene(render_backend)
-        build_ground(self._scene, altitude=objects.ground_z)
+    def __init__(self, objects: ObjectScene, robot: Any, urdf: Path, render_backend: str) -> None:
+        self.scene = empty_scene(render_backend)
+        build_ground(self.scene, altitude=objects.ground_z)
         self._looks: list[tuple[Any, Any]] = []
-        self._pinhole, self._outlines = pinhole(camera), robot_outlines(urdf)
+        self._outlines = robot_outlines(urdf)
         for body in objects.visible:
             builder = ActorBuilder()
             for shape in body.shapes:
                 if shape.visible:
                     add_visual(builder, shape)
             self._add(body.entity, builder.build_render_component())
-        components = _robot_components(self._scene, urdf)
+        components = _robot_components(self.scene, urdf)
         for link in robot.links:
             if (component := components.get(link.entity.name)) is not None:
                 self._add(link.entity, component)
-        add_lights(self._scene, shadow=False)
-        self._camera = Camera(without_reflections(camera), self._scene)
+        add_lights(self.scene, shadow=False)
+
+    def update(self, camera: PinholeCamera) -> None:
+        """Moves the copies. Disables links that a camera cannot see: without a GPU they take most of the time."""
+        for look, entity in self._looks:
+            look.pose = entity.pose
+            if (outline := self._outlines.get(entity.name)) is not None:
+                component = look.components[0]
+                is_seen = camera.may_see(outline, entity.pose.to_transformation_matrix())
+                if is_seen != component.is_enabled:
+                    (component.enable if is_seen else component.disable)()
+        self.scene.update_render(update_sensors=True, update_human_render_cameras=False)
+
+    def _add(self, entity: Any, component: Any) -> None:
+        look = sapien.Entity()
+        look.add_component(component)
+        self.scene.sub_scenes[0].add_entity(look)
+        self._looks.append((look, entity))
+
+
+class RenderedCamera:
+    """Camera of a rendered scene, on the SAPIEN entity ``mount`` of the physics scene, or at rest."""
+
+    def __init__(self, scene: RenderedScene, config: CameraConfig, mount: Any) -> None:
+        self._scene, self._config, self._mount = scene, config, mount
+        self._camera = Camera(without_reflections(config), scene.scene)
 
     def take(self) -> NDArray[np.uint8]:
         """Returns an image (H, W, 3) of the present scene."""
@@ -191,22 +247,11 @@ class RenderedCamera:
         return np.asarray(self._camera.get_obs(**names)[name][0].cpu().numpy())
 
     def _render(self) -> None:
-        """Renders. Bodies outside of the image are disabled: without a GPU an arm's links take most of the time."""
-        for look, entity in self._looks:
-            look.pose = entity.pose
-            if (outline := self._outlines.get(entity.name)) is not None:
-                component = look.components[0]
-                is_seen = self._pinhole.may_see(outline, entity.pose.to_transformation_matrix())
-                if is_seen != component.is_enabled:
-                    (component.enable if is_seen else component.disable)()
-        self._scene.update_render(update_sensors=True, update_human_render_cameras=False)
+        pose = None if self._mount is None else self._mount.pose
+        if pose is not None:
+            self._camera.camera._render_cameras[0].entity.pose = pose
+        self._scene.update(pinhole(self._config, pose))
         self._camera.capture()
-
-    def _add(self, entity: Any, component: Any) -> None:
-        look = sapien.Entity()
-        look.add_component(component)
-        self._scene.sub_scenes[0].add_entity(look)
-        self._looks.append((look, entity))
 
 
 def _robot_components(scene: ManiSkillScene, urdf: Path) -> dict[str, Any]:

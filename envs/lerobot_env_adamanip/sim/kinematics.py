@@ -146,9 +146,9 @@ class ArmKinematics:
         if pull is None:
             return _bounded(jacobian.T @ dposv(square, error)[1], LARGEST_STEP), 0.0
         spare = pull.share * (self.rest - qpos)
-        wanted = np.empty((6, 2), order="F")
-        wanted[:, 0], wanted[:, 1] = error, jacobian @ spare
-        step, taken = (jacobian.T @ dposv(square, wanted)[1]).T
+        targets = np.empty((6, 2), order="F")
+        targets[:, 0], targets[:, 1] = error, jacobian @ spare
+        step, taken = (jacobian.T @ dposv(square, targets)[1]).T
         pulled = _bounded(spare - taken, pull.largest)
         return _bounded(step, LARGEST_STEP) + pulled, max(map(abs, pulled.tolist()))
 

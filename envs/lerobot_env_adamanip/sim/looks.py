@@ -20,7 +20,7 @@ SMOOTH_BELOW = np.deg2rad(30.0)
 ROBOT_GLOSS, ROBOT_GREY = 0.9, (0.8, 0.8, 0.8)
 """Gloss of the arm, and the colour of its meshes without a material."""
 METAL_DARKER = 0.6
-"""Share of a metal's light that it would reflect from surroundings, which the scene does not have."""
+"""Share of a metal's light that is missing, because the scene has no surroundings to reflect."""
 _SAME_POINT_M = 1e-5
 
 
@@ -33,7 +33,7 @@ class Look(NamedTuple):
 
 
 def shapes_look(shapes: Iterable[Shape]) -> Look:
-    """Returns the looks of a link's visible shapes; rows as in `triangles.shapes_triangles`."""
+    """Returns the looks of a link's visible shapes, one row per triangle of `triangles.shapes_triangles`."""
     parts = []
     for shape in shapes:
         if shape.visible:
@@ -48,7 +48,7 @@ def shapes_look(shapes: Iterable[Shape]) -> Look:
 
 @functools.cache
 def robot_look(urdf: Path, link: str) -> Look:
-    """Returns the looks of a robot's link; rows as in `triangles.robot_triangles`."""
+    """Returns the looks of a robot's link, one row per triangle of `triangles.robot_triangles`."""
     return _joined(_visual(urdf, geometry) for geometry in read_urdf(urdf).links[link].visuals)
 
 
@@ -85,8 +85,8 @@ def flat_normals(triangles: Triangles) -> Floats:
 def smooth_normals(triangles: Triangles) -> Floats:
     """Returns unit normals at the corners of N triangles (N, 3, 3).
 
-    A corner's normal is the mean, weighted by area, over the triangles that share the point; it is the triangle's own
-    where both differ by more than `SMOOTH_BELOW`.
+    A corner's normal is the mean over the triangles that share the point, weighted by area. If it differs from the
+    triangle's own normal by more than `SMOOTH_BELOW`, the own normal is used.
     """
     flat = _area_normals(triangles)
     _, point = np.unique(np.round(triangles.reshape(-1, 3) / _SAME_POINT_M), axis=0, return_inverse=True)

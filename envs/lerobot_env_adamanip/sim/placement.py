@@ -187,10 +187,10 @@ def external_stand(
     # The object faces the robot, rotated by half a turn: its +y is the base's -y.
     aside, hinge = -float(part.grasp[1, 3]), _hinge_y(part)
     if hinge is None or abs(float(part.grasp[1, 3]) - hinge) <= rule.wide:
-        wanted = float(np.clip(aside, -rule.part_y, rule.part_y))
-        return Stand(nominal_x, wanted - aside, floor, _capped(reaches, rule.farthest))
-    wanted = rule.wide_y * float(np.sign(hinge - part.grasp[1, 3]))
-    return Stand(rule.wide_x, wanted - aside, floor, _capped(reaches, {**rule.farthest, **rule.wide_farthest}))
+        part_y = float(np.clip(aside, -rule.part_y, rule.part_y))
+        return Stand(nominal_x, part_y - aside, floor, _capped(reaches, rule.farthest))
+    part_y = rule.wide_y * float(np.sign(hinge - part.grasp[1, 3]))
+    return Stand(rule.wide_x, part_y - aside, floor, _capped(reaches, {**rule.farthest, **rule.wide_farthest}))
 
 
 def _hinge_y(part: PartAnnotation) -> float | None:
@@ -201,8 +201,8 @@ def _hinge_y(part: PartAnnotation) -> float | None:
 
 def _capped(reaches: tuple[ReachRequirement, ...], farthest: Mapping[str, float]) -> tuple[ReachRequirement, ...]:
     def capped(name: str, position: float) -> float:
-        most = farthest.get(name, np.inf)
-        return float(np.clip(position, -most, most))
+        limit = farthest.get(name, np.inf)
+        return float(np.clip(position, -limit, limit))
 
     def path(legs: Path) -> Path:
         return tuple({name: capped(name, position) for name, position in leg.items()} for leg in legs)
@@ -234,7 +234,7 @@ def _reachable(
 
 
 def approachable(grasp: Array, kinematics: ArmKinematics, start: Array) -> bool:
-    """Returns whether the arm gets from ``start`` (7,) [rad] to a grasp (4, 4), via its pre-grasp, on straight lines.
+    """Returns whether the arm can move from ``start`` (7,) [rad] via the pre-grasp to a grasp (4, 4) on straight lines.
 
     An almost stretched arm may reach a pose, but not on a straight line.
     """
@@ -281,7 +281,7 @@ def _along(path: Path) -> Iterator[dict[str, float]]:
 
 @functools.cache
 def placement_check(task: CategoryTask, poses: str) -> Callable[[ArticulatedObject], str]:
-    """Returns a function that returns why an object cannot be placed, or an empty text, from kinematics alone.
+    """Returns a check: object -> why it cannot be placed, or an empty text. It uses kinematics alone.
 
     It samples one episode; an object that can be placed there can be placed in almost every episode.
     """

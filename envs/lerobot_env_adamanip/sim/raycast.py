@@ -22,6 +22,7 @@ from lerobot_env_adamanip.sim.looks import Look, robot_look, shapes_look
 from lerobot_env_adamanip.sim.triangles import Triangles, robot_triangles, shapes_triangles
 
 if TYPE_CHECKING:  # so that it can be imported without a simulator
+    import sapien
     from mani_skill.sensors.camera import CameraConfig
 
     from lerobot_env_adamanip.sim.scene import Visible
@@ -102,10 +103,15 @@ class PinholeCamera:
         return np.clip(edges, 0, self.size).astype(np.int64)
 
 
-def pinhole(config: CameraConfig) -> PinholeCamera:
-    """Returns ManiSkill's camera for a configuration."""
-    pose = config.pose.sp.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
-    return PinholeCamera(pose, config.width, 0.5 * config.width / np.tan(0.5 * config.fov))
+def pinhole(config: CameraConfig, mount: sapien.Pose | None = None) -> PinholeCamera:
+    """Returns ManiSkill's camera for a configuration, on a link at the pose ``mount``, or at rest."""
+    return pinhole_at(config.pose.sp if mount is None else mount * config.pose.sp, config.width, config.fov)
+
+
+def pinhole_at(pose: sapien.Pose, size: int, field_of_view: float) -> PinholeCamera:
+    """Returns ManiSkill's camera at a pose in the world, with ``size`` [px] and ``field_of_view`` [rad]."""
+    matrix = pose.to_transformation_matrix().astype(np.float64) @ GL_FROM_BODY
+    return PinholeCamera(matrix, size, 0.5 * size / np.tan(0.5 * field_of_view))
 
 
 def points_in_world(points: Cloud, camera_in_world: NDArray[Any]) -> Cloud:
@@ -153,9 +159,16 @@ class LinkMesh:
         reached: Depth = self._scene.run(_rows(origin, directions), directions, dists=farthest, query="DISTANCE")
         return np.minimum(reached, farthest)
 
-    def hits(self, origin: NDArray[np.float64], directions: NDArray[np.float32], farthest: Depth) -> dict[str, Any]:
-        """Returns each ray's first hit: ``tfar`` (N,) depth, ``primID`` (N,) triangle or -1, ``u`` and ``v`` (N,)."""
-        met: dict[str, Any] = self._scene.run(_rows(origin, directions), directions, dists=farthest, output=1)
+    def hits(
+        self, origin: NDArray[np.float64], directions: NDArray[np.float32], farthest: Depth, nearest: float
+    ) -> dict[str, Any]:
+        """Returns each ray's first hit at a depth between ``nearest`` and ``farthest`` (N,).
+
+        They are ``tfar`` (N,), the depth from ``nearest`` on, ``primID`` (N,) triangle or -1, ``u`` and ``v`` (N,).
+        """
+        near = np.float32(nearest)
+        origins = _rows(origin, directions) + near * directions
+        met: dict[str, Any] = self._scene.run(origins, directions, dists=farthest - near, output=1)
         return met
 
     def hides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -219,7 +232,7 @@ class _View(NamedTuple):
 
 
 class RayScene:
-    """Depth of the workspace in one camera's image, link by link. Casts only the K rays that can end in it."""
+    """Depth of the workspace in one camera's image, link by link. Casts only the K rays that pass the workspace."""
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
         self._camera = camera
@@ -258,7 +271,7 @@ class RayScene:
                 depth[slots] = self._depths(mesh, view, slots, farthest)
 
     def met(self, depth: Depth) -> Slots:
-        """Returns the rays (M,) whose depths (K,) have a hit inside the workspace."""
+        """Returns the rays (M,) with a hit inside the workspace, from the depths (K,) of all rays."""
         return np.flatnonzero(depth < self._farthest)
 
     def _view(self, mesh: LinkMesh, pose: Pose) -> _View:

@@ -1,4 +1,4 @@
-"""What this machine renders with: its device, tested once and then read from the user's cache, or ray casting.
+"""Rendering device of this machine, tested once and then read from the user's cache; ray casting if there is none.
 
 A GPU in PyTorch does not imply one in Vulkan, and a broken driver may crash or hang. The test therefore runs in its own
 process (`render_probe`). Importing this module does not import the simulator.
@@ -20,7 +20,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
-from lerobot_adamanip.episode.options import CLOUD_SOURCES, RENDER_BACKENDS
+from lerobot_adamanip.episode.options import CLOUD_SOURCES, RAYCAST, RENDER_BACKENDS
 from lerobot_adamanip.util.errors import GET_PICTURES, no_vulkan_device, require_choice
 from lerobot_adamanip.util.files import write_atomically
 
@@ -64,26 +64,28 @@ def can_render() -> bool:
     return rendering_device() != NOTHING
 
 
-def observes_images(wanted: bool | None) -> bool:
-    """Returns whether observations include images. None means if this machine renders, with a warning if not.
+def observes_images(wanted: bool | None, source: str) -> bool:
+    """Returns whether observations include images of a source, see `IMAGE_SOURCES`.
+
+    None means if the source works on this machine, with a warning if not: ray casting always does.
 
     Raises:
-        SimulatorError: images are requested, but this machine cannot render.
+        SimulatorError: rendered images are requested, but this machine cannot render.
     """
-    if wanted is False or can_render():
+    if wanted is False or source == RAYCAST or can_render():
         return wanted is not False
     if wanted:
         raise no_vulkan_device("no Vulkan driver, or none that takes a picture")
     _log.warning(
         "Observations hold no pictures: nothing renders here. Policies of clouds do without. A policy that looks at "
-        "pictures needs --env.observe_images=true, and a renderer: %s.",
+        "pictures needs --env.observe_images=true, and --env.image_source=raycast or a renderer: %s.",
         GET_PICTURES,
     )
     return False
 
 
 def takes_picture(backend: str, command: tuple[str, ...] = (), seconds: float = PROBE_SECONDS) -> bool:
-    """Returns whether a device renders an image, in a process that may crash and is ended if it hangs."""
+    """Returns whether a device renders an image. Tests it in a process, which may crash and is ended if it hangs."""
     command = command or (sys.executable, "-m", PROBE, backend)
     quiet = subprocess.DEVNULL
     try:

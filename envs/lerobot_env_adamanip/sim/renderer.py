@@ -38,7 +38,7 @@ atexit.register(_kept.clear)
 
 
 def device_for(render_backend: str, options: Mapping[str, Any]) -> str:
-    """Returns the ``render_backend`` of ManiSkill's own scene: ``none`` unless plain ManiSkill renders something."""
+    """Returns the ``render_backend`` of ManiSkill's own scene; ``none`` if plain ManiSkill renders nothing."""
     observed, shown = options.get("obs_mode"), options.get("render_mode") is not None
     looks = shown or not (observed is None or set(observed.split("+")) <= BLIND)
     if not looks and (observed == "none" or not can_render()):

@@ -1,4 +1,4 @@
-"""Scene around the arm: an object on a plinth, lights, one camera."""
+"""Scene around the arm: an object on a plinth, lights, cameras."""
 
 from __future__ import annotations
 
@@ -29,6 +29,8 @@ FULL_GC_EVERY = 16
 _FROZEN_BY_PYTHON = 1000
 """Bound of the objects that the interpreter itself freezes at its start."""
 _clears = itertools.count(1)
+NEAREST, FARTHEST = 0.01, 10.0
+"""Range of all cameras [m]."""
 AMBIENT_LIGHT = [0.35, 0.35, 0.36]
 DIRECTIONAL_LIGHTS = [[0.9, 0.5, -1.0], [1.5, 1.45, 1.4]], [[0.6, -0.8, -0.6], [0.6, 0.62, 0.7]]
 """Direction in the world and colour of each light; the first one may cast shadows."""
@@ -65,9 +67,9 @@ class ObjectScene:
         self.visible: tuple[Visible, ...] = (*column, *plinth, *links)
         """All visible bodies except the arm and the ground."""
 
-    def _build_plinth(self, scene: ManiSkillScene, least: float) -> Visible:
+    def _build_plinth(self, scene: ManiSkillScene, min_half: float) -> Visible:
         depth, width = self.obj.size[1] / 2 - 0.02, self.obj.size[0] / 2 - 0.04
-        shape = Shape("box", (max(depth, least), max(width, least), self.floor_z / 2), np.eye(4), _PLINTH)
+        shape = Shape("box", (max(depth, min_half), max(width, min_half), self.floor_z / 2), np.eye(4), _PLINTH)
         builder = _builder(scene, shape)
         builder.add_box_collision(half_size=list(shape.size))
         builder.collision_groups = [1, 1, NO_SELF_COLLISION, 0]
@@ -108,25 +110,30 @@ def add_lights(scene: ManiSkillScene, *, shadow: bool) -> None:
         scene.add_directional_light(direction, color, shadow=shadow and number == 0)
 
 
-def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, Any]:
-    """Returns a pose for each of `CAMERAS`; eye and target are sampled within ``shift`` [m] along each axis."""
+def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, sapien.Pose]:
+    """Returns a pose for each of `CAMERAS` in the frame of its link.
+
+    Eye and target are sampled within ``shift`` [m] along each axis, times the camera's ``spread``.
+    """
     poses = {}
     for name, view in CAMERAS.items():
-        eye = np.asarray(view.eye) + rng.uniform(-shift, shift, 3)
-        poses[name] = sapien_utils.look_at(eye, np.asarray(view.target) + rng.uniform(-shift, shift, 3))
+        eye = np.asarray(view.eye) + view.spread * rng.uniform(-shift, shift, 3)
+        target = np.asarray(view.target) + view.spread * rng.uniform(-shift, shift, 3)
+        poses[name] = sapien_utils.look_at(eye, target, view.up).sp
     return poses
 
 
-def camera_config(name: str, pose: Any, size: int, shader: str) -> CameraConfig:
-    """Returns one of `CAMERAS` at a sampled pose, for images of ``size`` [px]."""
-    return CameraConfig(name, pose, size, size, CAMERAS[name].field_of_view, 0.01, 10, shader_pack=shader)
+def camera_config(name: str, pose: sapien.Pose, size: int, shader: str, mount: Any = None) -> CameraConfig:
+    """Returns one of `CAMERAS` at a pose in the frame of ``mount`` or of the world, for images of ``size`` [px]."""
+    field = CAMERAS[name].field_of_view
+    return CameraConfig(name, pose, size, size, field, NEAREST, FARTHEST, mount=mount, shader_pack=shader)
 
 
 def person_camera() -> CameraConfig:
     """Returns the camera of ManiSkill's videos."""
     view = CAMERAS[FRONT]
     pose = sapien_utils.look_at(view.eye, view.target)
-    return CameraConfig("render_camera", pose, PERSON_VIEW, PERSON_VIEW, view.field_of_view, 0.01, 10)
+    return CameraConfig("render_camera", pose, PERSON_VIEW, PERSON_VIEW, view.field_of_view, NEAREST, FARTHEST)
 
 
 @contextlib.contextmanager

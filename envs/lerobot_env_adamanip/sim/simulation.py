@@ -25,8 +25,7 @@ CONTACT_OFFSET = 0.002
 """Half of the distance at which PhysX creates contacts between two bodies [m]. The fastest hand moves 2.3 mm per
 physics step. ManiSkill's 20 mm creates contacts with everything near the hand, at up to three times the cost."""
 FREE_ITERATIONS = 4
-"""Solver iterations of an arm without contacts. Iterations only harden contacts, and all cost the same, so more would
-bring nothing here."""
+"""Solver iterations of an arm without contacts. More iterations only harden contacts, and cost time."""
 GRIP_TICKS = 8
 """Control ticks in which fingers settle around a part."""
 STAYING = 1e-3
@@ -39,7 +38,7 @@ PUSH_LAG, PUSH_TURN_LAG = 0.002, 0.01
 """Minimum lag of a pushing hand [m, rad]: about 9 N, a third of the lag that ends a motion as a stall."""
 PUSH_WAY, PUSH_TURN = PUSH_LAG / 2, PUSH_TURN_LAG / 2
 """Minimum travel of a meant push since the arm was last free of strain [m, rad]. The arm is free of strain below half
-of the lag, so a hand that is held back while its target moves travels as far; one that is deflected does not."""
+of the lag, so the target of a hand that is held back travels this far; that of a deflected hand does not."""
 PUSH_TICKS = 20
 """Maximum number of control ticks of that travel. A hand that holds a lever against its spring is never free."""
 PUSH_SHARE = 0.7
@@ -212,13 +211,13 @@ class Simulation:
         return self.mechanism.succeeded(self.joint_positions())
 
     def restart_tries(self) -> None:
-        """Forgets all tries so far."""
+        """Drops all tries so far."""
         kinds = {name: self.obj.joint(name).kind for name in self.mechanism.joints}
         self.tries = TryTracker(kinds, self.joint_positions())
 
 
 class ArmContacts:
-    """Measures what an arm does to each joint of a target that it touches, with any of its links.
+    """Measures the push of an arm on each joint of a target that any of its links touches.
 
     The nominal limits of the object's joints are public and equal under every hidden state.
     """

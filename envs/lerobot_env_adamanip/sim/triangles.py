@@ -99,7 +99,7 @@ def _visual(urdf: Path, geometry: Geometry) -> Triangles:
         return placed(box_triangles(size / 2 for size in geometry.size), geometry.pose)
     if geometry.kind != "mesh":
         raise SimulatorError(
-            "A robot's visual cannot be cast rays at.", got=f"{geometry.kind} in {urdf}", allowed="mesh, box"
+            "Rays cannot be cast at a robot's visual shape.", got=f"{geometry.kind} in {urdf}", allowed="mesh, box"
         )
     parts = [triangles for triangles, _ in mesh_file_triangles(urdf.parent / geometry.mesh)]
     corners = np.concatenate(parts) * np.asarray(geometry.size)

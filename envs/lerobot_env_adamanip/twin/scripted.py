@@ -50,10 +50,10 @@ class AdamanipScripted(TcpTeleop):
         if self._motion is None:
             self._stay(dt)
             return self._to(sent, reading, dt)
-        wanted = self._motion.step(reading, sent, dt)
+        target = self._motion.step(reading, sent, dt)
         if self._motion.outcome is not None:
             self._motion = self._next(reading, sent, self._motion.feedback(reading))
-        return self._to(wanted, reading, dt)
+        return self._to(target, reading, dt)
 
     def _expert(self, session: RobotSession) -> KeyFrames:
         details = session.details

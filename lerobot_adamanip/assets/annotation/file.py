@@ -130,19 +130,19 @@ def pose_from_json(value: Any) -> Pose:
 def _joint_from_json(value: Any) -> JointChoice:
     choice = JointChoice(str(value["joint"]), float(value["rest"]), float(value["open"]))
     if not (math.isfinite(choice.rest) and math.isfinite(choice.open)) or choice.rest == choice.open:
-        raise ValueError(f"joint {choice.joint}: rest {choice.rest}, open {choice.open}")
+        raise ValueError(f"joint {choice.joint}: rest {choice.rest} and open {choice.open} are equal or not finite")
     return choice
 
 
 def _part_from_json(value: Any) -> PartChoice:
     rolls = tuple(float(roll) for roll in value["rolls"])
     if not rolls or not all(map(math.isfinite, rolls)) or len(rolls) > 64:
-        raise ValueError(f"rolls {rolls}")
+        raise ValueError(f"rolls are {rolls}, not 1 to 64 finite angles")
     return PartChoice(str(value["link"]), pose_from_json(value["grasp"]), "object", rolls)
 
 
 def _scale(value: Any) -> float:
     scale = float(value)
     if not (math.isfinite(scale) and 1e-4 < scale < 1e4):
-        raise ValueError(f"scale {scale}")
+        raise ValueError(f"scale is {scale}, not a number from 0.0001 to 10000")
     return scale

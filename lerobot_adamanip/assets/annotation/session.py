@@ -32,7 +32,7 @@ class Draft:
     """Annotation of one folder during editing. Grasps are in the object frame, with joints at rest.
 
     Attributes:
-        folder, path: of the object and of its ``adamanip.json``.
+        folder, path: folder of the object, and path of its ``adamanip.json``.
         annotation: present state.
         origin: its source, in words.
         changed: whether it has changes that no file contains yet.

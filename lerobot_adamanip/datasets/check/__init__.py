@@ -1,1 +1,1 @@
-"""Check of a recorded dataset: findings by kind, file, episode and frame; and repair after a killed recorder."""
+"""Validation of a recorded dataset: `dataset.check` returns findings by kind, file, episode and frame."""

@@ -25,17 +25,17 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
         _check_dense(features, report)
         return
     contract = contract_of(features)
-    for key, wanted in contract.items():
+    for key, expected in contract.items():
         feature = features.get(key)
         if feature is None:
             if collected or key in (*REQUIRED, *OF_LEROBOT):
                 report.add("schema", f"no column {key}", INFO)
             continue
         for name in ("dtype", "shape", "names"):
-            found, right = _plain(feature.get(name)), _plain(wanted.get(name))
-            as_pictures = name == "dtype" and right == "video" and found == "image"
-            if found != right and not as_pictures and not (name == "names" and right is None):
-                report.add("schema", f"{key}: {name} {found!r:.80}, not {right!r:.80}", INFO)
+            actual, right = _plain(feature.get(name)), _plain(expected.get(name))
+            as_pictures = name == "dtype" and right == "video" and actual == "image"
+            if actual != right and not as_pictures and not (name == "names" and right is None):
+                report.add("schema", f"{key}: {name} {actual!r:.80}, not {right!r:.80}", INFO)
     for key in features:
         if key.startswith("observation.") and key not in contract and not is_image_column(key):
             report.add("schema", f"{key} is not in the contract; every policy would use it as an input", INFO)

@@ -125,7 +125,7 @@ class Report:
     """Findings of a check.
 
     Attributes:
-        root: of the dataset.
+        root: folder of the dataset.
         episodes, rows: numbers of checked ones.
         findings: at most `MOST_OF_A_KIND` of each kind.
         counts: kind -> number of findings.
@@ -155,9 +155,9 @@ class Report:
         """Adds one finding for each episode with wrong rows, at its first wrong row."""
         episodes, frames = where.episodes[wrong], where.frames[wrong]
         for episode in np.unique(episodes).tolist():
-            mine = frames[episodes == episode]
-            more = f", and {len(mine) - 1} more rows" if len(mine) > 1 else ""
-            self.add(kind, message + more, where.file, episode, int(mine.min()))
+            episode_frames = frames[episodes == episode]
+            more = f", and {len(episode_frames) - 1} more rows" if len(episode_frames) > 1 else ""
+            self.add(kind, message + more, where.file, episode, int(episode_frames.min()))
 
     @property
     def clean(self) -> bool:

@@ -161,9 +161,9 @@ def check_values(
 def _report_shape(where: Rows, table: pa.Table, key: str, shape: tuple[int, ...], report: Report) -> None:
     chunks = [chunk.storage if isinstance(chunk, pa.ExtensionArray) else chunk for chunk in table[key].chunks]
     shapes = [_shape(cell) for chunk in chunks for cell in chunk.to_pylist()]
-    wrong = np.array([found != shape for found in shapes])
+    wrong = np.array([cell_shape != shape for cell_shape in shapes])
     wrong[0] |= not wrong.any()  # cells without a shape
-    wrong_shapes = sorted({str(found) for found, bad in zip(shapes, wrong.tolist(), strict=True) if bad})
+    wrong_shapes = sorted({str(cell_shape) for cell_shape, bad in zip(shapes, wrong.tolist(), strict=True) if bad})
     report.add_rows("shape", f"{key} has cells of shape {', '.join(wrong_shapes[:3])}, not {shape}", where, wrong)
 
 
@@ -205,7 +205,7 @@ def _check_clouds(where: Rows, columns: Columns, workspace: Workspace, report: R
 
 
 def check_course(where: Rows, columns: Mapping[str, NDArray[Any]], report: Report) -> None:
-    """Checks recorded episodes: failed tries count up, success stays, and only the last row ends the episode."""
+    """Checks recorded episodes: `trial` never falls, success is never taken back, and only the last row is final."""
     first = np.zeros(len(where), bool)
     first[where.starts()] = True
     if schema.DONE in columns:

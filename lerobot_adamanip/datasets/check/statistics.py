@@ -55,8 +55,8 @@ def check_episode_statistics(
 ) -> None:
     """Compares episodes' statistics with their rows; skips episodes that are known to be damaged.
 
-    ``columns`` are (R, ...) values of whole episodes; ``row_of`` gives an episode's row in ``stored``. ``ours`` are the
-    columns that must have statistics.
+    ``columns``: (R, ...) values of whole episodes. ``row_of``: episode -> its row in ``stored``. ``ours``: columns that
+    must have statistics.
     """
     for number, rows in where.runs():
         if number in report.damaged:
@@ -160,8 +160,8 @@ def read_statistics(root: Path) -> Statistics:
 def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
     """Compares ``meta/stats.json`` with the rows, if no episode is damaged.
 
-    Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`. What LeRobot's tools leave
-    behind (averaged quantiles, no statistics of clouds and added columns) is a warning or accepted.
+    Accepts fixed ranges of rotation and gripper, see `pose_statistics.leave_poses_unscaled`. Traces of
+    LeRobot's tools (averaged quantiles, no statistics of clouds and added columns) are a warning or accepted.
     """
     try:
         written = read_statistics(dataset.root)

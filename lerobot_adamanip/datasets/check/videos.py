@@ -40,9 +40,9 @@ def check_videos(dataset: Dataset, stored: Stored, report: Report, progress: Cal
         for episode in sorted(listed, key=lambda each: each.videos[key].start):
             start = round(episode.videos[key].start * dataset.fps)
             end = start + episode.length
-            for found in _check_frames(dataset, key, episode, frames[start:end], stored):
+            for problem in _check_frames(dataset, key, episode, frames[start:end], stored):
                 if episode.number not in report.damaged:
-                    report.add(found[0], found[1], file, episode.number, found[2])
+                    report.add(problem[0], problem[1], file, episode.number, problem[2])
             if end > len(frames):
                 there = max(0, len(frames) - start)
                 kind = "unreadable" if broken else "video-length"

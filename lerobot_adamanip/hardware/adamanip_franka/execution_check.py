@@ -66,7 +66,7 @@ class Caller:
 def check_caller(robot: Any) -> None:
     """Checks the LeRobot command that connects a robot with this configuration.
 
-    It checks the policy of `lerobot-rollout` and the dataset of `lerobot-replay`. Teleoperation is free.
+    It checks the policy of `lerobot-rollout` and the dataset of `lerobot-replay`. Teleoperation may use either mode.
 
     Raises:
         ConfigurationError: the command's actions need the other execution mode.

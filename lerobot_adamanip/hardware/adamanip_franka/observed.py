@@ -18,7 +18,7 @@ ARRIVAL_STAMPED = frozenset(("OpenCVCamera", "RealSenseCamera"))
 QUEUED_PICTURES, DRIVER_DELAY_S = 4, 0.1
 """Upper bound of the time from exposure to arrival: pictures in a driver's queue, and a delay [s]."""
 SLOWEST_FPS = 10
-"""Rate of a camera that does not tell its rate [Hz]."""
+"""Assumed rate of a camera that does not report its rate [Hz]."""
 POLL_S = 0.005
 
 
@@ -37,7 +37,7 @@ def check_cameras(cameras: Mapping[str, Camera], *, key_frames: bool) -> None:
     """Checks that the cameras can deliver what the robot promises.
 
     Raises:
-        ConfigurationError: a camera has depth in unknown units, or with key frames no time of exposure.
+        ConfigurationError: a camera has depth in unknown units, or, with key frames, no exposure time.
     """
     for key, camera in cameras.items():
         if isinstance(camera, FrameReader):
@@ -51,7 +51,7 @@ def check_cameras(cameras: Mapping[str, Camera], *, key_frames: bool) -> None:
             )
         if key_frames and not ARRIVAL_STAMPED & {cls.__name__ for cls in type(camera).__mro__}:
             raise ConfigurationError(
-                f"Camera {key} does not tell whether a picture was taken after a key frame.",
+                f"Camera {key} does not report whether a picture was taken after a key frame.",
                 got=f"{type(camera).__name__} with execution=keyframe",
                 allowed=f"a FrameReader of this project, {', '.join(sorted(ARRIVAL_STAMPED))}",
                 hint="--robot.execution=stream, or another camera",

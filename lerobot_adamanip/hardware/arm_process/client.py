@@ -185,7 +185,7 @@ class ArmClient:
         """Waits for the end of the key frame with this number and returns its status.
 
         Raises:
-            RobotError: see `healthy`; or ``time_limit`` [s] is exceeded, and the arm is told to stop.
+            RobotError: see `healthy`; or ``time_limit`` [s] is exceeded. The arm is then stopped.
         """
         until = time.perf_counter() + time_limit
         while time.perf_counter() < until:

@@ -1,1 +1,1 @@
-"""Arm backends: the real arm and a fake for tests. The twin's backend is in the simulator package."""
+"""Backends (`arm.ArmBackend`) of real arms. The twin's backend is `lerobot_env_adamanip.sim.twin`."""

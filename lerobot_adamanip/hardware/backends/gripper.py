@@ -1,7 +1,7 @@
 """The gripper: Franka's hand, opened and closed by a thread, so that the arm's loop never waits for it.
 
 Franka's hand takes 0.5-0.9 s for a command and refuses a second one meanwhile. So the thread sends a command only when
-the wanted opening crosses the middle, and only the newest.
+the requested opening crosses the middle, and only the newest one.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from lerobot_adamanip.hardware.backends.franky_sdk import import_franky
 from lerobot_adamanip.util.errors import RobotError
 
 OPEN_ABOVE, CLOSE_BELOW = 0.55, 0.45
-"""Thresholds of the wanted opening [0 closed, 1 open]. Between the two nothing changes."""
+"""Thresholds of the requested opening [0 closed, 1 open]. Between the two nothing changes."""
 OPEN_ENOUGH = 0.95
 """Opening above which the fingers need no initial open command."""
 READ_PERIOD_S, CONNECT_S, CLOSE_S = 0.05, 10.0, 0.5
@@ -57,7 +57,7 @@ class FrankyHand:
 
 
 class GripperThread:
-    """Executes the wanted opening and reads the current one. ``connect`` creates the hand in the command thread.
+    """Executes the requested opening and reads the current one. ``connect`` creates the hand in the command thread.
 
     Attributes:
         opening: last reading, 0 closed ... 1 open.
@@ -83,7 +83,7 @@ class GripperThread:
         self.check()
 
     def want(self, opening: float) -> None:
-        """Sets the wanted opening, 0 closed ... 1 open. Returns at once."""
+        """Sets the requested opening, 0 closed ... 1 open. Returns at once."""
         if CLOSE_BELOW <= opening <= OPEN_ABOVE:
             return
         if self._wanted is None and opening > OPEN_ABOVE and self.opening > OPEN_ENOUGH:
@@ -103,7 +103,7 @@ class GripperThread:
             raise RobotError(f"The gripper failed: {self._error}")
 
     def forgive(self) -> None:
-        """Clears a failure and the wanted opening."""
+        """Clears a failure and the requested opening."""
         self._error, self._wanted, self._done = "", None, None
 
     def close(self) -> None:

@@ -21,7 +21,7 @@ class Recipe:
         neck: lower end of the neck, as a fraction of the height below the cap.
         rise: profile of the shoulder, ``round``, ``ogee`` or ``cone``.
         neck_radius: radius of the neck, as a fraction of the cap's.
-        cap_radius, cap_height: of the gripped part.
+        cap_radius, cap_height: radius and height of the gripped part.
         caps: kinds of cap.
         finishes: names of `FINISHES`.
         cap_colors: names of `PLASTICS` or `METALS`.

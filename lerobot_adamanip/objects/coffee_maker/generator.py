@@ -92,7 +92,7 @@ class CoffeeMakerDesign:
 
 
 def draw_novel_design(rng: np.random.Generator) -> CoffeeMakerDesign:
-    """Samples a machine slimmer, or wider and lower, than all seen ones, in new styles."""
+    """Samples a novel machine: slimmer, or wider and lower, than every seen one; new styles."""
     base = draw(CoffeeMakerDesign, rng)
     slim = rng.random() < 0.5
     body = Material(NOVEL_COLORS[rng.integers(len(NOVEL_COLORS))], rng.uniform(0.25, 0.45), 0.1)

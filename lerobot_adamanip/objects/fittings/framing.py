@@ -21,7 +21,7 @@ class Surround:
     """A piece of wall [m]. Its front is the plane x = 0, its middle is y = 0, z is up from the floor.
 
     Attributes:
-        width, height, depth: of the wall.
+        width, height, depth: width, height and depth of the wall.
         left, right: y of the opening's edges.
         bottom, top: z of the opening's edges; a bottom of 0 means no wall below.
         casing: width of the casing around the opening.

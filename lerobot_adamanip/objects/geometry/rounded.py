@@ -25,7 +25,7 @@ _FRONT = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 def slab(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
-    """Returns a flat plate: corners rounded by ``radius``, upper rim cut by ``bevel``, half extents x, y, z [m]."""
+    """Returns a flat plate with half extents x, y, z [m]. ``radius`` rounds corners, ``bevel`` cuts the upper rim."""
     points = _rounded(half, radius, upper_bevel=bevel)
     return convex_mesh(points, transform(center), material, collides=collides)
 
@@ -33,7 +33,7 @@ def slab(
 def plate(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.0, collides: bool = True
 ) -> Shape:
-    """Returns a vertical plate, like `slab`: corners rounded about x, front rim cut, half extents x, y, z [m]."""
+    """Returns a vertical plate, like `slab`, with half extents x, y, z [m]; ``bevel`` cuts its front rim."""
     points = _rounded((half[1], half[2], half[0]), radius, upper_bevel=bevel) @ _FRONT.T
     return convex_mesh(points, transform(center), material, collides=collides)
 
@@ -41,7 +41,7 @@ def plate(
 def round_cornered(
     center: ArrayLike, half: Extents, radius: float, material: Material, *, bevel: float = 0.003, collides: bool = True
 ) -> Shape:
-    """Returns a box with vertical edges rounded by ``radius``, both rims cut by ``bevel``, half extents x, y, z [m]."""
+    """Returns a box with half extents x, y, z [m]. ``radius`` rounds its vertical edges, ``bevel`` cuts both rims."""
     radius = min(radius, 0.98 * min(half[0], half[1]))
     cut = min(bevel, 0.45 * half[2], 0.9 * radius)
     points = _rounded(half, radius, upper_bevel=cut, lower_bevel=cut)

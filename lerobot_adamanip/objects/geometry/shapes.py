@@ -60,7 +60,7 @@ def convex_hull(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArr
 def prism(
     center: ArrayLike, radius: float, half_length: float, sides: int, material: Material, *, top: float = 1.0
 ) -> Shape:
-    """Returns a prism about x, one face pair perpendicular to y; ``top`` scales the far end (a taper)."""
+    """Returns a prism about x with two faces perpendicular to y. ``top`` scales its far end (a taper)."""
     angles = (np.arange(sides) + 0.5) * 2 * np.pi / sides
     ring = radius / np.cos(np.pi / sides) * np.stack([np.zeros(sides), np.cos(angles), np.sin(angles)], axis=-1)
     points = np.concatenate([ring - (half_length, 0, 0), ring * top + (half_length, 0, 0)])

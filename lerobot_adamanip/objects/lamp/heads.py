@@ -230,8 +230,8 @@ def _cone(head: Head, tip: NDArray[np.float64], points_to: ArrayLike, radius: fl
     turn = rotation_with_x_along(points_to) @ np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     profile = ((0.016, -0.012), (0.022, 0.004), (0.55 * radius + 0.012, 0.028), (radius, 0.085))
     bulb = ((0.86 * radius, 0.080), (0.86 * radius, 0.087))
-    made = [revolved((0, 0, 0), profile, head.shade, sides=32), revolved((0, 0, 0), bulb, _BULB)]
-    return tuple(replace(shape, pose_in_link=transform(tip, turn)) for shape in made)
+    shapes = [revolved((0, 0, 0), profile, head.shade, sides=32), revolved((0, 0, 0), bulb, _BULB)]
+    return tuple(replace(shape, pose_in_link=transform(tip, turn)) for shape in shapes)
 
 
 def _architect(head: Head, place: Place) -> tuple[Shape, ...]:

@@ -35,8 +35,8 @@ class Look:
     Attributes:
         window: ``framed`` (a window in a painted door), ``glass`` (all glass), ``rounded`` (a retro
             window) or ``porthole``.
-        controls: of the panel: ``keypad``, ``dials``, ``touch`` or ``retro``.
-        clock: four digits.
+        controls: style of the panel: ``keypad``, ``dials``, ``touch`` or ``retro``.
+        clock: four digits on the display.
     """
 
     name: str

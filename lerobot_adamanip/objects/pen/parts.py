@@ -29,7 +29,7 @@ class Pen:
         barrel_radius: half width of the barrel.
         exposed: visible length of the barrel, between stand and cap.
         sides: number of sides of the barrel; 0 is round.
-        depth, squareness: of the cross section, see `Ring`.
+        depth, squareness: depth and squareness of the cross section, see `Ring`.
         ribbed: whether the cap has grooves.
         print: ``rings``, ``maker``, ``stripe``, ``column`` or nothing.
         cap, barrel, trim: materials.

@@ -14,7 +14,7 @@ class Recipe:
     """A kind of pen: sampled parameters and their ranges.
 
     Attributes:
-        cap_radius, cap_length: of the cap.
+        cap_radius, cap_length: radius and length of the cap.
         barrel_ratio: radius of the barrel, as a fraction of the cap's.
         exposed: visible length of the barrel, between stand and cap.
         ends: kinds of upper end.

@@ -20,7 +20,7 @@ class Stand:
 
     Attributes:
         kind: a name of `STANDS`.
-        width, depth, height: of its body.
+        width, depth, height: width, depth and height of its body.
         shift: offset of the pen from the middle along y.
         socket_height: height of the metal socket on top; 0 for a hole.
         body, socket, extra: materials.

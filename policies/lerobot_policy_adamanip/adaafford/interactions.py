@@ -28,7 +28,7 @@ class InteractionLabels:
         after: (M, 10) float32 pose reached, with the measured gripper.
         opening: (M,) float32 gripper opening during the approach, 1 to grasp, 0 to push.
         moved: (M,) float32, 1 if the interaction brought the object nearer to open, else 0.
-        tried: (M,) bool, True if it was meant to move a joint; the actor learns only these.
+        tried: (M,) bool, whether the interaction tried to move a joint; the actor learns only these.
         history: (I, H) int64 interactions before the row with this `index`, oldest first, padded with -1.
         candidates: (I, K) int64 interactions with a known result at that row, padded with -1.
     """
@@ -44,11 +44,11 @@ class InteractionLabels:
 
 
 def label_interactions(demonstrations: Demonstrations, history: int, candidates: int) -> InteractionLabels:
-    """Finds interactions, and assigns to each row those that it can learn from.
+    """Finds interactions, and assigns to each row the interactions that it can learn from.
 
     An interaction is a key frame in contact (`ContactTracker`). A try that did not fail brought the object nearer to
-    open, because an expert never turns back. Its result holds at all rows of its stretch, in which nothing moved. After
-    a motion, the way back is added as an interaction without success, although no expert made it.
+    open, because an expert never turns back. Its result holds at all rows of its stretch, in which nothing moved. The
+    way back of each motion is added as an interaction without success, although no expert tried it.
 
     A row keeps the latest ``history`` interactions before it, and up to ``candidates`` with a known result. Raises
     `ConfigurationError` if no try failed, or none moved anything.
@@ -59,11 +59,11 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     for rows in demonstrations.episodes():
         first, stretch = len(recorded), demonstrations.stretches(rows)
         recorded += _interactions(demonstrations, rows, stretch)
-        made = list(enumerate(recorded[first:], first))
+        numbered = list(enumerate(recorded[first:], first))
         for row in range(rows.stop - rows.start - int(demonstrations.final[rows.stop - 1])):
             index = demonstrations.index[rows.start + row]
-            earlier = [number for number, each in made if each.row is not None and each.row < row][-history:]
-            fitting = [number for number, each in made if each.stretch == stretch[row]][:candidates]
+            earlier = [number for number, each in numbered if each.row is not None and each.row < row][-history:]
+            fitting = [number for number, each in numbered if each.stretch == stretch[row]][:candidates]
             past[index, : len(earlier)], known[index, : len(fitting)] = earlier, fitting
     moved, tried = (np.array([getattr(each, name) for each in recorded], bool) for name in ("moved", "tried"))
     if not (tried & ~moved).any() or not (tried & moved).any():
@@ -121,7 +121,7 @@ class InteractionMemory:
         return self._tracker.opening
 
     def observe(self, pose: Tensor) -> None:
-        """Stores the latest command with its result, the present pose (10,), if it was a motion in contact."""
+        """Stores the latest command and its result, the present pose (10,). Ignores commands without contact."""
         if self.sent is None:
             return
         before, command = self.sent

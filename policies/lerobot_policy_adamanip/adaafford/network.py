@@ -58,7 +58,7 @@ class NegativeActions:
 
 
 def trim_padding(numbers: Tensor) -> Tensor:
-    """Cuts numbers (B, K), padded with -1, to the longest row; keeps at least one column."""
+    """Removes the columns of (B, K) that are padding (-1) in every row; keeps at least one column."""
     longest = int((numbers >= 0).sum(dim=1).amax())
     return numbers[:, : max(1, longest)]
 

@@ -20,7 +20,7 @@ from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, is_trained, re
 MIN_CLEARANCE_M = 0.05
 """A hand at least this far from a grasp does not hide the part."""
 MAX_GRASP_TRAVEL_M = 0.03
-"""A hand that closes within this distance of its position grasps; one that closes on a longer way pushes."""
+"""A hand that moves at most this far while it closes grasps; a hand that moves farther pushes."""
 
 
 @dataclass(frozen=True)
@@ -114,7 +114,7 @@ class Contact:
 
     Attributes:
         start: row in which the fingers close.
-        grasp: (10,) float32 pose of contact; its gripper is the opening during the approach, 1 to grasp, 0 to push.
+        grasp: (10,) float32 pose of contact; gripper: opening of the approach, 1 for a grasp, 0 for a push.
         first: row of the first motion in contact.
         end: row after the last one.
     """

@@ -15,9 +15,9 @@ Weighted = tuple[Tensor, Tensor]
 
 
 def valid_rows(valid: Tensor) -> Tensor:
-    """Returns the indices (R,) of valid rows of (B,) bool; [0] if there are none, to be given zero weight.
+    """Returns the indices (R,) of valid rows of (B,) bool; [0] if there are none.
 
-    Thus every weight has a gradient in every step.
+    The caller gives row 0 zero weight then. So every weight of the network has a gradient in every step.
     """
     rows = valid.nonzero().squeeze(-1)
     return rows if len(rows) else rows.new_zeros(1)
@@ -43,7 +43,7 @@ def logistic_loss(logits: Tensor, target: Tensor) -> Tensor:
 
 
 def free_bits(divergence: Tensor, weights: Tensor, least: float) -> Tensor:
-    """Returns divergences (R,) whose weighted mean is at least ``least``, without a gradient if it was below."""
+    """Returns divergences (R,) whose weighted mean is at least ``least``; without a gradient if it was below."""
     return torch.where(weighted_mean(divergence, weights) > least, divergence, least)
 
 
@@ -56,7 +56,7 @@ def sum_losses(
     weight has 0.
 
     Args:
-        losses: of the rows.
+        losses: losses of the rows.
         rows: (R,) their indices in the batch, without repetition.
         batch_size: B.
         reduction: ``mean`` or ``none``.

@@ -109,7 +109,7 @@ def mean_of_best(scores: Tensor, count: int) -> Tensor:
 
 
 def point_near(cloud: Tensor, place: Tensor, radius: float) -> Tensor:
-    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3); the nearest if none is."""
+    """Draws a point (B, 3) of each cloud (B, N, 3) [m] within a radius of a place (B, 3), else the nearest point."""
     distance = (cloud - place[:, None]).norm(dim=-1)
     preferred = torch.where(distance <= radius, torch.rand_like(distance), -distance).argmax(dim=1)
     return cloud[torch.arange(len(cloud), device=cloud.device), preferred]

@@ -55,7 +55,7 @@ def taking_hold(pose: Tensor, grasp: Tensor, pushed_to: Tensor) -> Tensor:
     Args:
         pose: (10,) of the tool with the measured opening; a hand that is not open releases first.
         grasp: (10,) pose of contact; its gripper is the opening during the approach.
-        pushed_to: (10,) goal of a push, for an approach with a closed hand, which moves at once.
+        pushed_to: (10,) goal of a push, for an approach with a closed hand.
     """
     plan = approach(grasp)
     if float(grasp[GRIPPER_DIM]) < OPEN_HAND:

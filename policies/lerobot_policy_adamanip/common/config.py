@@ -82,13 +82,13 @@ class CloudPolicyConfig(PreTrainedConfig):
     license: str | None = "apache-2.0"
 
     def __post_init__(self) -> None:
-        """Raises `ConfigurationError` for options that do not go together."""
+        """Checks the options, see `check`."""
         with shown_by_parsers():
             self.check()
         super().__post_init__()
 
     def check(self) -> None:
-        """Raises `ConfigurationError` for options that do not go together."""
+        """Raises `ConfigurationError` for options that do not fit together."""
 
     @property
     def observation_delta_indices(self) -> list[int] | None:

@@ -1,4 +1,4 @@
-"""Contact events: past key frames that sent a closed hand somewhere. The learned memory reads no others.
+"""Contact events: past key frames that moved a closed hand. The learned memory reads no others.
 
 A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
 Approaches, grasps and releases therefore leave no trace in the memory.
@@ -26,7 +26,7 @@ EVENT_DIM = 2 * MOTION_DIM + 2
 
 
 def surely_none(mask: Tensor) -> bool:
-    """Returns whether no element of a mask is true, as far as is known without waiting for a GPU."""
+    """Returns whether no element of a mask is true. False on a GPU, where the answer would synchronise."""
     return mask.device.type == "cpu" and not bool(mask.any())
 
 
@@ -46,13 +46,13 @@ class Past:
 
     @cached_property
     def motions(self) -> tuple[Tensor, Tensor]:
-        """Commanded motions (B, H, 7) in the frame of the tool before, and what is left of them in the one after."""
+        """Commanded motions, seen from the poses before; undone motions, seen from the poses after: (B, H, 7) each."""
         ends = torch.stack([self.poses[:, :-1], self.poses[:, 1:]])
         return motion_between(self.commands, ends).unbind()  # type: ignore[return-value]
 
     @cached_property
     def contact(self) -> Tensor:
-        """Which key frames are contact events (B, H): the hand is closed before and after, and sent far enough.
+        """Mask (B, H) of contact events: the hand is closed before and after, and its commanded motion is large enough.
 
         A closed hand that is empty can only push, so only its motion forward counts.
         """
@@ -68,7 +68,7 @@ class Past:
 
     @cached_property
     def opens(self) -> Tensor:
-        """Which commands open the hand or leave it open (B, H)."""
+        """Mask (B, H) of commands that open the hand or leave it open."""
         return self.commands[..., GRIPPER_DIM] >= CLOSED_HAND
 
     def events(self, *, feedback: bool = True) -> Tensor:
@@ -107,7 +107,7 @@ class ContactMemory(nn.Module):
 
 
 class ChoiceMemory(nn.Module):
-    """What the contact events say of choices; exactly zero without a contact event, and before training."""
+    """Logits of choices from the contact events; exactly zero without a contact event, and before training."""
 
     def __init__(self, dim: int, features: int, choices: int) -> None:
         super().__init__()

@@ -54,7 +54,7 @@ class DepthToCloudStep(SameFeaturesStep):
     without one, from the connected robot, since a checkpoint does not contain the camera's pose.
 
     Attributes:
-        num_points: of the cloud.
+        num_points: number of points of the cloud.
         lower, upper: corners of the workspace, robot base frame [m].
         camera: key of the camera in the robot's configuration.
         calibration: path of a calibration file; None for the connected robot's.

@@ -39,8 +39,9 @@ class PointNetEncoder(nn.Module):
     """DP3's encoder: a shared MLP, the maximum over points, a projection. The order of points does not matter.
 
     Only winners, the points with a channel's maximum, get a gradient: at most a third of a cloud. In training on a CPU
-    the cloud passes the MLP without a graph, then the winners pass with one. Of equal points one gets the gradient;
-    weights get the same. On a GPU finding the winners would synchronise, so all points pass with a graph.
+    the cloud passes the MLP without a graph, then the winners pass with one. Of equal points only one gets the
+    gradient; gradients of weights are the same. On a GPU finding the winners would synchronise, so all points pass with
+    a graph.
     """
 
     def __init__(self, in_dim: int, dims: Sequence[int], out_dim: int) -> None:

@@ -1,9 +1,9 @@
 """Inputs of policies: the observation of a batch, and recorded rows looked up by the batch's ``index``.
 
 LeRobot's readers return observations, actions and a row's ``index``. ``resolve_delta_timestamps`` makes windows of
-``action``, ``next.reward`` and all of ``observation.*`` alike: none of executed actions, and none of states without
-clouds. Its batches lack ``next.*`` and ``complementary_info.*`` after preprocessing. So policies read only the present
-row from LeRobot, and look up the rest.
+``action``, ``next.reward`` and all of ``observation.*``. It cannot make windows of executed actions, or of states
+without clouds. Its batches lack ``next.*`` and ``complementary_info.*`` after preprocessing. So policies read only the
+present row from LeRobot, and look up the rest.
 """
 
 from __future__ import annotations
@@ -215,10 +215,10 @@ def check_batch(config: Any, batch: Mapping[str, Any], state: Tensor, actions: T
     """Raises `ConfigurationError` if a batch does not fit the policy and its dataset; for the first batch.
 
     Args:
-        config: of the policy.
+        config: configuration of the policy.
         batch: preprocessed.
         state: (B, S, D) of the batch.
-        actions: (B, A) that were looked up for the batch's rows, normalised.
+        actions: (B, A) looked up for the batch's rows, normalised.
         mirrored: share of scenes that the preprocessor mirrors.
     """
     if state.shape[1] != config.n_obs_steps:

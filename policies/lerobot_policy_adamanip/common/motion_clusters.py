@@ -16,9 +16,9 @@ from lerobot_policy_adamanip.common.inputs import RecordedRows
 MIN_SPREAD = (0.002, 0.002, 0.002, 0.02, 0.02, 0.02, 0.02)
 """Lower bound of a cluster's spread [m, m, m, rad, rad, rad, -]."""
 STARTS = 8
-"""Number of k-means' starts."""
+"""Number of starts of k-means."""
 MAX_ROWS = 10_000
-"""Number of motions that are searched for centres, at regular intervals of all."""
+"""Maximum number of motions that k-means runs on, taken at regular intervals."""
 MAX_SPREADS, MAX_FAR_SHARE = 3.0, 0.1
 """A motion is far if every anchor is more than `MAX_SPREADS` spreads away; a share of far motions above `MAX_FAR_SHARE`
 warns. Of the data that anchors were fitted to, 0.5 % are far; of other data of the same category, 3 %."""

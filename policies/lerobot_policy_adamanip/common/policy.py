@@ -33,9 +33,9 @@ class CloudPolicy(PreTrainedPolicy):
         config.validate_features()
 
     def match_clouds(self, dataset_meta: Any, *, is_trained: bool) -> None:
-        """Stores a dataset's workspace and camera in the configuration, for clouds of a robot's depth at run time.
+        """Stores a dataset's workspace and camera in the configuration: clouds from a robot's depth need both.
 
-        Raises `ConfigurationError` if weights that are trained already saw another workspace or camera.
+        Raises `ConfigurationError` if the weights were trained with another workspace or camera.
         """
         box, camera = workspace_of(Path(dataset_meta.root), dataset_meta.features), camera_of(dataset_meta.features)
         config = self.config

@@ -34,14 +34,14 @@ def cpu_quota(root: Path = Path("/sys/fs/cgroup"), member: Path = Path("/proc/se
 
 
 def limit_threads_to_quota() -> None:
-    """Lowers torch's number of threads to the CPU quota, which torch does not read; not if the user has set it."""
+    """Lowers torch's number of threads to the CPU quota, unless the user has set it. Torch does not read the quota."""
     quota = cpu_quota()
     if "OMP_NUM_THREADS" not in os.environ and quota < torch.get_num_threads():
         torch.set_num_threads(max(1, int(quota)))
 
 
 def stop_spinning_if_busy(*_: object) -> None:
-    """Calls `stop_spinning` once programs wait for a core of this machine; not if the user has set `WAITING`."""
+    """Calls `stop_spinning` once programs wait for a core of this machine, unless the user has set `WAITING`."""
     with contextlib.suppress(OSError):
         busy = os.getloadavg()[0] > (os.cpu_count() or 1) + BUSY_MARGIN
         if busy and not any(name in os.environ for name in WAITING):

@@ -22,13 +22,13 @@ UNET_GROUPS = 8
 
 @dataclass(frozen=True)
 class HeadMethod:
-    """What a preset decides and no option changes.
+    """Fixed parts of a preset, which no option changes.
 
     Attributes:
-        head: what draws actions, ``anchors`` (typical motions, refined) or ``diffusion``, the paper's.
-        frame: of clouds and actions: ``tool``, without normalisation, or ``base``, the robot's.
+        head: network that draws actions: ``anchors`` (typical motions, refined) or ``diffusion`` (the paper's).
+        frame: frame of clouds and actions: ``tool``, without normalisation, or ``base``, the robot's.
         encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (the paper's).
-        weight_decay: of AdamW.
+        weight_decay: weight decay of AdamW.
         prediction_type: target of the U-Net, ``epsilon`` (the noise) or ``sample`` (the clean action).
         step_embed_dim: size of the diffusion step's embedding.
     """
@@ -63,7 +63,7 @@ TOOL: dict[str, Any] = {
     "num_anchors": 32, "num_refinements": 3, "refinement_points": 128, "optimizer_lr": 1e-3,
     "scheduler_warmup_steps": 100,
 }  # fmt: skip
-"""What both heads in the tool's frame use, at a size for two CPU cores."""
+"""Options that both heads in the tool's frame use, at a size for two CPU cores."""
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {**TOOL, "horizon": 1, "trunk_dim": 256},
     "diffusion": {
@@ -96,7 +96,7 @@ HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps"
 
 @dataclass
 class Inference:
-    """Switches of what acts at inference; training is the same with any of them. Presets dp3 and paper use none."""
+    """Switches of memory and rules at inference. They do not change training. Presets dp3 and paper use none."""
 
     # Use the learned memory of contact events.
     memory: bool = True
@@ -106,13 +106,13 @@ class Inference:
     no_undo: bool = True
     # An open hand whose way is blocked backs off.
     back_off: bool = True
-    # A hand (empty, holding, open) draws only motions that demonstrations begin with such a hand.
+    # Draw only motions that demonstrations start with a hand in the present state (empty, holding, open).
     hand_state_mask: bool = True
     # Anchors of a probability below 0.03 are not drawn (preset fast).
     probability_floor: bool = True
-    # Draw again while the drawn action leads to nothing: 4 draws (fast), 8 draws (diffusion).
+    # Draw again if the drawn action cannot be used: at most 4 draws (fast), 8 draws (diffusion).
     redraw: bool = True
-    # Take a refined grasp with its fingers swapped where that is a smaller turn.
+    # Swap the fingers of a refined grasp if the hand then turns less.
     swap_fingers: bool = True
 
 
@@ -133,7 +133,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     preset: str = "fast"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
-    # What acts at inference beside the network: the memory, and each rule. In the tool's frame only.
+    # Switches of the memory and of each rule at inference (fast and diffusion only).
     inference: Inference = field(default_factory=Inference)
 
     # Observed steps, including the present one; 1 in the tool's frame (fast 1, diffusion 1, dp3 2, paper 4).
@@ -201,7 +201,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     @property
     def method(self) -> HeadMethod:
-        """What the preset decides."""
+        """Fixed parts of the preset."""
         return METHODS[self.preset]
 
     @property

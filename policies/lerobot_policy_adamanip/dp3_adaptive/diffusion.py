@@ -46,13 +46,13 @@ POSITION_UNIT, ROTATION_UNIT = 0.02, 0.5
 
 
 class DiffusionHead(nn.Module):
-    """Denoising of chunks of actions; how a chunk is encoded and what it is conditioned on depends on the frame.
+    """Denoises chunks of actions. Subclasses define the encoding of a chunk and the condition.
 
     Args:
-        config: of the policy.
+        config: configuration of the policy.
         point_dim: number of features of a point.
         condition_dim: number of values of the condition.
-        kernel_size: of the U-Net's convolutions over time, odd.
+        kernel_size: kernel size of the U-Net's convolutions over time, odd.
         clip: bound of a denoised value while sampling.
     """
 
@@ -147,8 +147,8 @@ class BaseDiffusionHead(DiffusionHead):
     """The head of the paper: observed steps and a flat history of actions, in the robot's base frame, normalised.
 
     Args:
-        config: of the policy.
-        stats: of the dataset, for the units of clouds; a checkpoint has its own.
+        config: configuration of the policy.
+        stats: statistics of the dataset, for the units of clouds; a checkpoint has its own.
     """
 
     def __init__(self, config: DP3AdaptiveConfig, stats: Statistics | None) -> None:
@@ -241,8 +241,8 @@ class ToolDiffusionHead(ToolHead, DiffusionHead):
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
 
-        A chunk whose first action leads to nothing is drawn again, up to `DRAWS` times. If all do, the first one
-        counts; but if all are useless with the present grip, the hand lets go.
+        A chunk whose first action cannot be used is drawn again, up to `DRAWS` draws. If all draws fail, the first one
+        counts. But if all are useless with the present grip (`rules.Limits`), the hand lets go.
         """
         inference = self.config.inference
         past = self.past(window) if self.memory is not None else None

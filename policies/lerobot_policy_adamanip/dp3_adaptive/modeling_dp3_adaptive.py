@@ -1,9 +1,10 @@
 """``dp3_adaptive``: a policy over point clouds with a memory of its own actions.
 
 Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
-a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from what it has
-done. `AnchorHead`, the default, draws a typical motion of the demonstrations and refines it. Read on in `tool_head`
-(its inputs, typical motions and refinement), `rules` (what acts at inference) and `diffusion` (the paper's heads).
+a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from its own
+history. `AnchorHead`, the default, draws a typical motion of the demonstrations and refines it. Start with
+`select_action` and `AnchorHead.sample`. Read on in `tool_head` (inputs, typical motions, refinement), `rules` (rules at
+inference), `common.contacts` (past key frames and memory) and `diffusion` (the paper's heads).
 """
 
 import copy
@@ -48,8 +49,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     training and at run time. Missing first observations repeat the first one, as LeRobot's padding does.
 
     Args:
-        dataset_stats: of the training data; convert normalised values to metres. Not needed to load a checkpoint.
-        dataset_meta: of the training data, with its files. Needed for training only.
+        dataset_stats: statistics of the training data, for units in metres. Not needed to load a checkpoint.
+        dataset_meta: metadata of the training data, with its files. Needed for training only.
     """
 
     config_class = DP3AdaptiveConfig
@@ -301,8 +302,8 @@ class AnchorHead(ToolHead):
     Transformers), and the network classifies the next cluster, which keeps the two directions of a knob apart. The
     residual's unit is the spread of its cluster, so its error is small relative to the motion. It is no diffusion.
 
-    The memory moves the choice alone, and only after a contact event. Before, the network's logits are those without a
-    history; the rules act earlier.
+    The memory changes only the choice, and only after a contact event. Before one, the logits are those of a network
+    without a history. The rules act before a contact event, too.
     """
 
     DRAWS = 4
@@ -343,7 +344,7 @@ class AnchorHead(ToolHead):
         logits, residuals, added = self(window)
         losses = {"choice_loss": F.cross_entropy(logits, index, reduction="none")}
         if added is not None:
-            # Trains the memory alone: what is chosen without it must not depend on there being one.
+            # Trains the memory alone: the choice without it must not depend on it.
             losses["memory_loss"] = F.cross_entropy(logits.detach() + added, index, reduction="none")
         target = (motion - motions.anchors[index]) / motions.spread[index]
         predicted = residuals[torch.arange(len(index), device=index.device), index]
@@ -356,7 +357,8 @@ class AnchorHead(ToolHead):
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor.
 
-        An anchor that leads to nothing is drawn again, up to `DRAWS` times; if all do, the first one counts.
+        An anchor whose approach ends at nothing is masked, and another one drawn, up to `DRAWS` draws. If all draws
+        fail, the first one counts.
         """
         inference, motions, tool = self.config.inference, self.motions, self.tool(window)
         logits, residuals, added = self(window)
@@ -380,6 +382,7 @@ class AnchorHead(ToolHead):
             done = done | usable
             if bool(done.all()):
                 break
+            # In rows that have a usable action, nothing more is masked.
             rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
         assert chosen is not None
         return rules.back_off(inference, past, chosen[:, None])

@@ -1,9 +1,8 @@
-"""All that is written by hand and acts at inference, beside the trained network.
+"""Hand-written rules that act at inference, beside the trained network.
 
-Each rule has a switch in `configuration_dp3_adaptive.Inference`.
-
-In the order in which a head applies them: the hand-state mask, no repeat, no undo, the fall-back if nothing is left,
-the probability floor, swapped fingers, redraws (a loop of the head), and backing off.
+Each rule has a switch in `configuration_dp3_adaptive.Inference`. `AnchorHead.sample` applies them in this order:
+hand-state mask, no repeat, no undo, fall-back if no motion is left, probability floor, swapped fingers, redraws (a loop
+of the head), backing off.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ SAME_PLACE_M, SAME_DIRECTION = 0.06, 0.5
 SAME_GOAL_M, SAME_GOAL_RAD = 0.03, 0.5
 """Goals are the same if they are this near; demonstrated approaches are further apart."""
 UNDO_PENALTY = 20.0
-"""Logit taken from motions that undo a step: any other one is more probable, but if all do, the likeliest still is."""
+"""Subtracted from the logits of motions that undo a step, so that every other motion is more probable."""
 MIN_PROBABILITY = 0.03
-"""Anchors below it are masked before sampling, and a kind of motions below it counts as not allowed."""
+"""Anchors below it are masked before sampling. A group of motions with a smaller sum counts as not allowed."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What rules say of motions, each (B, K) bool.
+    """Masks of motions that rules limit, each (B, K) bool.
 
     Attributes:
-        rejected: not to be drawn.
-        useless: not to be drawn with the present grip, even if all are rejected.
-        undoing: undo a step.
+        rejected: not drawn: demonstrations do not start the motion in this state of the hand, or it repeats a failure.
+        useless: not drawn even if all motions are rejected: as ``rejected``, with failures of the present grip only.
+        undoing: undoes a step; less probable by `UNDO_PENALTY`.
     """
 
     rejected: Tensor
@@ -49,9 +48,9 @@ class Limits:
 
 
 def limit_motions(rules: Inference, motions: Tensor, shown: Tensor, past: Past | None) -> Limits:
-    """Returns the limits of motions (B, K, 7) from the present pose, of a policy that remembers the ``past`` or none.
+    """Returns the limits of motions (B, K, 7) from the present pose; ``past`` is None for a policy without a history.
 
-    ``shown`` (B, K) is whether demonstrations do the motions with a hand in the present state, see `hand_state`.
+    ``shown`` (B, K) is whether demonstrations start the motions with a hand in the present state, see `hand_state`.
     """
     never = ~shown if rules.hand_state_mask else torch.zeros_like(shown)
     failed, failed_now, undoing = (torch.zeros_like(never) for _ in range(3))
@@ -68,11 +67,11 @@ def hand_state(opening: Tensor) -> Tensor:
 
 
 def repeats_failure(past: Past, motions: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns which motions (B, K, 7) from the present pose would repeat a failed contact event, twice (B, K) bool.
+    """Returns two masks (B, K) of motions (B, K, 7) from the present pose that repeat a failed contact event.
 
-    An event failed if less than `FAILED_SHARE` of its motion was done, or if the hand lost its grip. The first result
-    is about failures since something has moved, the second about those of the present grip: since the hand was open,
-    too. Motions are compared in the base frame, whichever way a part is held.
+    An event failed if less than `FAILED_SHARE` of its motion was done, or if the hand lost its grip. The first mask has
+    the failures since something last moved. The second has those of them with the present grip, i.e. since the hand was
+    last open. Motions are compared in the base frame, so the way in which a part is held does not matter.
     """
     tool, reached = past.poses[:, :-1], past.poses[:, 1:]
     sent, undone = (_scaled(motion) for motion in past.motions)
@@ -90,10 +89,10 @@ def repeats_failure(past: Past, motions: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def undoes_step(past: Past, motions: Tensor) -> Tensor:
-    """Returns which motions (B, K, 7) undo a step before anything was tried, (B, K) bool.
+    """Returns a mask (B, K) of motions (B, K, 7) that undo a step before anything was tried.
 
-    An open hand goes to where it was sent since it last closed: it wavers, or tries a way again that is blocked. A
-    closed one lets go what it holds, without a contact event.
+    An open hand undoes a step if it goes back to a goal that it was sent to since it last closed. A closed hand undoes
+    its grasp if it opens without a contact event.
     """
     was_open = past.poses[..., GRIPPER_DIM] > OPEN_HAND
     went = past.valid & past.opens & was_open[:, :-1] & ~_up_to_now(past.valid & ~past.opens)
@@ -141,10 +140,10 @@ def _in_base(scaled: Tensor, tool: Tensor) -> Tensor:
 
 
 def allowed_probabilities(probabilities: Tensor, rejected: Tensor, useless: Tensor, opens: Tensor) -> Tensor:
-    """Returns the probabilities (B, K) of what may be drawn; their sum is 1.
+    """Returns the probabilities (B, K) of the motions that may be drawn; their sum is 1.
 
-    That is what is not ``rejected`` (B, K); if it is less probable than `MIN_PROBABILITY`, what is not ``useless``
-    (B, K); if that is improbable too, what opens the hand, (K,) bool.
+    These are the motions that are not ``rejected`` (B, K). If their sum is below `MIN_PROBABILITY`: those that are not
+    ``useless`` (B, K). If that sum is below it, too: those that open the hand, ``opens`` (K,).
     """
     new, other = probabilities.masked_fill(rejected, 0.0), probabilities.masked_fill(useless, 0.0)
     likely = [part.sum(dim=-1, keepdim=True) >= MIN_PROBABILITY for part in (new, other)]

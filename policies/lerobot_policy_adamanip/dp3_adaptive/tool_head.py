@@ -37,9 +37,9 @@ EFFORT_UNIT = 20.0
 MIN_TRANSLATION_M = 0.02
 """Least length of an approach that is refined."""
 MIN_ENDPOINT_SPREAD_M = 0.006
-"""Approaches are refined if the end points of their kind spread by more."""
+"""An anchor's approaches are refined if their end points have a larger standard deviation."""
 MIN_START_SHARE = 0.05
-"""Least share of a motion's demonstrations that start with a hand in some state, for such a hand to do it."""
+"""Share of a motion's demonstrations that start in a state of the hand, above which it is drawn in that state."""
 
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
 """Units of a `_correction` [m, m, m, rad, rad, -, -]."""
@@ -56,7 +56,7 @@ PROPOSALS_PER_GOAL = 4
 """Number of proposals near each goal: few rows of a batch need refinement, and this network is small. One more is
 elsewhere on the cloud, where there is nothing to hold."""
 ELSEWHERE_M = 0.08
-"""Least distance of that one from the goal."""
+"""Least distance from the goal of a proposal elsewhere."""
 NEAR_NOISE_M = 0.001
 """Standard deviation of the noise on points near a pose in training."""
 REACH_M = 0.1
@@ -64,7 +64,7 @@ REACH_M = 0.1
 
 
 class ToolHead(nn.Module):
-    """What the heads in the tool's frame share: their inputs, and refinement. States and actions are poses.
+    """Base class of the heads in the tool's frame: inputs and refinement. States and actions are poses.
 
     A head's ``loss(window, actions, is_label)`` returns a loss per sample (B,), its weight (B,), and its parts as
     metrics, for labels ``actions`` (B, T, A) where ``is_label`` (B, T) is true. ``sample(window, noise)`` draws actions
@@ -72,7 +72,7 @@ class ToolHead(nn.Module):
     """
 
     DRAWS: ClassVar[int]
-    """Number of draws of an action, while the drawn one leads to nothing."""
+    """Maximum number of draws of an action, if the drawn ones cannot be used."""
     config: DP3AdaptiveConfig
     motions: TypicalMotions
     refiner: Refiner | None
@@ -150,7 +150,7 @@ class TypicalMotions(nn.Module):
     Attributes:
         anchors: (K, 7) motions in the tool's frame [m, rad, -].
         spread: (K, 7) standard deviations; zero before `fit`.
-        starts: (K, 3) bool, whether demonstrations do it with a hand in each `hand_state`.
+        starts: (K, 3) bool, whether demonstrations start the motion with a hand in each `rules.hand_state`.
     """
 
     anchors: Tensor
@@ -188,7 +188,7 @@ class TypicalMotions(nn.Module):
         return varying[index]
 
     def shown_from(self, index: Tensor, tool: Tensor) -> Tensor:
-        """Returns whether demonstrations do anchors (B, K) with a hand in the state of the tools (B, 10), (B, K)."""
+        """Returns (B, K) whether demonstrations start anchors (B, K) with a hand in the state of tools (B, 10)."""
         return self.starts[index, rules.hand_state(tool[:, GRIPPER_DIM])[:, None]]
 
 
@@ -233,7 +233,7 @@ class Refiner(nn.Module):
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
     def refine_where(self, needed: Tensor, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10), refined where ``needed`` (B,), and whether there is something to hold or no need."""
+        """Returns poses (B, 10), refined where ``needed`` (B,), and whether they can be used (B,)."""
         usable = torch.ones_like(needed)
         if surely_none(needed):
             return pose, usable
@@ -261,7 +261,7 @@ class Refiner(nn.Module):
     def refined(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
         """Returns poses (B, 10) after ``steps`` corrections, and whether there is something to hold (B,).
 
-        There is nothing if the corrections add up to more than `REACH_M`; they are cut there. The gripper stays.
+        There is nothing to hold if the total shift exceeds `REACH_M`; the shift is then cut there. The gripper stays.
         """
         start, logit = pose, torch.zeros_like(pose[:, 0])
         for _ in range(self.steps):

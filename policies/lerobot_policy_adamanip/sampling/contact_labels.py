@@ -1,4 +1,4 @@
-"""Grasp labels from demonstrations: for each row, the contacts made while nothing had moved."""
+"""Grasp labels from demonstrations: for each row, the contacts of its stretch, in which nothing moved."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:
 
 
 def draw_contact(grasps: Tensor, contacts: Tensor) -> tuple[Tensor, Tensor]:
-    """Draws one of each row's contacts (B, C), padded with -1; a row without contacts gets any.
+    """Draws one contact per row from (B, C), padded with -1. A row without contacts gets an arbitrary one.
 
     Args:
         grasps: (P, 10) of all contacts.

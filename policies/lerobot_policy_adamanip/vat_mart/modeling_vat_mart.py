@@ -49,12 +49,12 @@ class VatMartNetwork(nn.Module):
         self.actionability = networks.Score(0, features)
 
     def proposal_loss(self, cloud: Tensor, place: Tensor, trajectory: Tensor, weight: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns ``KL + L1 + geodesic`` (B,), and the reconstructed trajectories (B, D).
+        """Returns the loss ``KL + L1 + geodesic`` (B,), and the reconstructed trajectories (B, D).
 
-        Positions and rotations of key frames weigh alike. The mean divergence has free bits (Kingma et al. 2016):
-        with too small a weight, draws fall between the demonstrations; with too large a weight, draws are their mean.
-
-        Trajectories (B, D) with weights (B,) are demonstrated at places (B, 3) [m] of clouds (B, N, 3) [m].
+        Inputs are demonstrated trajectories (B, D) with weights (B,), at places (B, 3) [m] of clouds (B, N, 3) [m].
+        Positions and rotations of key frames have the same weight. The mean divergence has free bits (Kingma et al.
+        2016), because no weight of the KL term works alone: if small, samples lie between demonstrations; if large,
+        all samples are their mean.
         """
         config = self.config
         features = self.proposal_features(cloud, place[:, None]).squeeze(1)
@@ -108,7 +108,7 @@ class VatMartPolicy(AffordancePolicy):
         places = torch.cat([place[:, None], elsewhere], dim=1)
         opening = weight * (share > 0)
         proposal, reconstructed = self.model.proposal_loss(cloud, place, trajectory, opening)
-        # Scores both, or the scorer would learn to tell a proposal from a demonstration.
+        # Scores both. Otherwise the scorer would learn to distinguish proposals from demonstrations.
         score = self._score_loss(cloud, places, trajectory, share) + self._score_loss(
             cloud, places, reconstructed, share
         )

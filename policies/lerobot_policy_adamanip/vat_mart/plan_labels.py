@@ -12,10 +12,10 @@ from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.affordance.demonstrations import Contact, Demonstrations
 
 MIN_COVERED_SHARE = 0.9
-"""Least share of another demonstration's joint motion that opens its object. A static expert turns 0.9 of the range,
-0.85 opens, and a key frame ends a little short of its goal."""
+"""A plan opens the object of another demonstration if it covers this share of its joint motion. A static expert turns
+0.9 of the range, 0.85 opens, and a key frame ends a little short of its goal."""
 MAX_STILL_SHARE = 0.05
-"""A joint within this share of its largest excursion in the data has not moved."""
+"""A joint has not moved if it is within this share of its largest motion in the data."""
 
 
 @dataclass(frozen=True)
@@ -38,8 +38,9 @@ class PlanLabels:
 def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
     """Builds a plan from each episode's first contact.
 
-    Its rows are those before the fingers close in which the part is visible: the hand is open and away. Its share
-    compares its joint motions with those that each trained episode of the same task needed, with its own hidden state.
+    The plan's rows are those before the fingers close in which the part is visible: the hand is open and away. Its
+    share compares its joint motions with those that each trained episode of the same task needed, with the hidden state
+    of that episode.
 
     A plan has at most ``waypoints`` key frames in contact, K. Raises `ConfigurationError` if none opens an object.
     """

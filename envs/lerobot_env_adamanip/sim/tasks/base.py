@@ -127,7 +127,12 @@ class AdaManipTask(BaseEnv):
         if self._obs_mode == "none":
             return []
         size, poses = self.options.image_size, self._camera_poses()
-        configs = [scene.camera_config(name, poses[name], size, self._shader) for name in CAMERAS]
+        configs = [
+            scene.camera_config(
+                *(name, poses[name], size, self._shader), mount=self.agent.robot.links_map.get(CAMERAS[name].link)
+            )
+            for name in CAMERAS
+        ]
         return [without_reflections(config) for config in configs] if self.scene.can_render() else configs
 
     def _camera_poses(self) -> dict[str, Any]:
