@@ -83,7 +83,7 @@ def _convert_rows(
         writer = None
         for number in dict.fromkeys(numbers.tolist()):
             rows = table.filter(pa.array(numbers == number))
-            columns = {key: numeric_array(rows[key]) for key in rows.column_names}
+            columns = {key: values for key in rows.column_names if (values := numeric_array(rows[key])) is not None}
             columns |= {} if ARM in columns else _converted(columns, former)
             flat = {key: columns[key][:, 0] if columns[key].shape[1:] == (1,) else columns[key] for key in features}
             statistics[number] = compute_statistics(flat, features)
@@ -117,7 +117,7 @@ def _converted(columns: Mapping[str, Any], former: Mapping[str, Any]) -> Columns
 def _row(arm: NDArray[np.float32], asked: NDArray[np.float32], accepted: NDArray[np.float32]) -> Columns:
     """Returns a row's columns from its reading, its requested target (10,) and its accepted target (10,)."""
     pose, gripper = pose_from_vector(arm[: schema.ACTION_DIM])
-    qpos, qvel, effort = np.split(arm[schema.ACTION_DIM : schema.STATE_DIM + schema.NUM_JOINTS], 3)
+    qpos, qvel, effort = np.split(arm[schema.ACTION_DIM : schema.STATE_DIM + schema.NUM_JOINTS].astype(np.float64), 3)
     stamp = float(arm[ARM_NAMES.index(STAMP_NAME)])
     reading = ArmReading(stamp, stamp, pose, gripper, qpos, qvel, effort, ArmMode.IDLE)
     action = encode_action(EE_DELTA, asked, reading)
