@@ -44,7 +44,7 @@ def recorded_row(action: str, reading: ArmReading, sent: Target, stamp: float) -
     }
 
 
-class RecordedRows:
+class ObservedRows:
     """Rows of the latest observations. LeRobot gives the recorder an observation's state only, which is the key."""
 
     def __init__(self) -> None:

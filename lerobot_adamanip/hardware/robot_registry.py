@@ -17,7 +17,7 @@ from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.dense_kinds import encode_action, named_state, state_of
-from lerobot_adamanip.hardware.recorded_rows import RecordedRows, recorded_row
+from lerobot_adamanip.hardware.recorded_rows import ObservedRows, recorded_row
 from lerobot_adamanip.hardware.safety import SafetyLimits
 
 LOCKSTEP_DT = "lockstep_dt"
@@ -53,7 +53,7 @@ class RobotSession:
     calibrations: dict[str, CameraCalibration] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
     episodes: int = 0
-    rows: RecordedRows = field(default_factory=RecordedRows)
+    rows: ObservedRows = field(default_factory=ObservedRows)
 
     @property
     def success(self) -> bool:
