@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import ACTION, DONE, POSE_NAMES, STATE, STATE_NAMES, SUCCESS
@@ -210,6 +211,7 @@ def add(dataset: Any, episode: DenseEpisode) -> None:
 
 def write_recording(root: Path, *episodes: DenseEpisode, former: bool = False) -> Path:
     """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` did in the former format."""
+    lerobot_patches.restore()  # the formats of before have no column of the recorder
     features = None
     if episodes[0].corrected is not None:
         taken_over = {"dtype": "bool", "shape": (1,), "names": None}
