@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import itertools
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -133,3 +135,35 @@ def test_a_copy_has_imported_the_named_modules_already(tmp_path: Path) -> None:
     script.write_text(COPY)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, str(script), str(tmp_path)], env=environment, check=True)
+
+
+ORPHAN = """
+import functools, pathlib, sys
+from lerobot_adamanip.util import jobs
+if __name__ == "__main__":
+    if sys.argv[2] == "copied":
+        jobs.preload("jobs_helpers")
+    import jobs_helpers
+    with jobs.WorkerPool(functools.partial(jobs_helpers.session, pathlib.Path(sys.argv[1])), 1) as pool:
+        list(pool.run(["always:hang"]))
+"""
+
+
+@pytest.mark.parametrize("start", ["copied", "spawned"])
+def test_a_worker_ends_with_the_process_that_started_it(tmp_path: Path, start: str) -> None:
+    script = tmp_path / "orphan.py"
+    script.write_text(ORPHAN)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    arguments = [sys.executable, str(script), str(tmp_path), start]
+    with subprocess.Popen(arguments, env=environment, stdout=subprocess.PIPE) as parent:
+        try:
+            while not (tmp_path / "hang").exists():
+                assert parent.poll() is None
+                time.sleep(0.05)
+            parent.kill()
+            parent.communicate(timeout=20)  # until the worker has closed the output, too
+        finally:
+            parent.kill()
+            for name in tmp_path.glob("session-*"):
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(int(name.name.partition("-")[2]), signal.SIGKILL)

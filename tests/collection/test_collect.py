@@ -204,6 +204,10 @@ def test_failed_episodes_are_kept_apart_if_asked_for(tmp_path: Path, finished: P
     lost = [attempt for attempt in attempts if not attempt["kept"]]
     started = {attempt["seed"] for attempt in lost if not str(attempt["reason"]).startswith("unreachable")}
     assert {row["seed"] for row in rows} == started
+    # A failed episode stands for itself; a kept one carries all attempts before it.
+    assert any(row["attempt"] for row in rows)
+    assert not any(json.loads(row["failures"]) for row in rows)
+    assert all(len(json.loads(row["failures"])) == row["attempt"] for row in kept)
     assert Dataset(failed).features == Dataset(root).features
     assert "failed episodes" in (failed / "README.md").read_text()
     for row in rows[:3]:
