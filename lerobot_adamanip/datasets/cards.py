@@ -31,7 +31,7 @@ from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
 from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, OF_PICTURES, CollectionSpec, manifest_path
 from lerobot_adamanip.datasets.dataset import Dataset
-from lerobot_adamanip.datasets.dense import is_dense_collection, kind_of
+from lerobot_adamanip.datasets.dense import is_dense_collection, kind_by_size
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.selection import selection_path
@@ -192,7 +192,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
 
 def _dense_fields(dataset: Dataset) -> dict[str, object]:
     """Returns the fields of a dataset at control rate: kinds of action and state, cameras, and a policy's options."""
-    action, state = (kind_of(dataset.features, key) for key in (schema.ACTION, schema.STATE))
+    action, state = (kind_by_size(dataset.features, key) for key in (schema.ACTION, schema.STATE))
     cameras = [name for name in CAMERAS if image_column(name) in dataset.features]
     has_cloud = schema.POINT_CLOUD in dataset.features
     options = {"control": "dense", "fps": dataset.fps, "action": action, "state": state}

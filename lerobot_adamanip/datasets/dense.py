@@ -8,16 +8,17 @@ from typing import Any
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.hardware.features import ARM
 
 Features = Mapping[str, Mapping[str, Any]]
 
 
 def is_dense_collection(features: Features) -> bool:
-    """Returns whether a dataset was collected at control rate: its rows name the key frame that they are part of."""
-    return schema.KEY_FRAME in features
+    """Returns whether a dataset was collected at control rate. A robot's recording has a column of its arm as well."""
+    return schema.KEY_FRAME in features and ARM not in features
 
 
-def kind_of(features: Features, key: str) -> str:
+def kind_by_size(features: Features, key: str) -> str:
     """Returns the kind of ``action`` or ``observation.state`` by its size; the first kind for an unknown size."""
     kinds: Mapping[str, tuple[str, ...]] = ACTION_NAMES if key == schema.ACTION else STATES
     size = tuple(features.get(key, {}).get("shape", ()))
@@ -30,8 +31,8 @@ def dense_contract(features: Features) -> dict[str, dict[str, Any]]:
     cameras = [name for name in CAMERAS if image_column(name) in features]
     size = features[image_column(cameras[0])]["shape"][0] if cameras else schema.IMAGE_SIZE
     return schema.dense_features(
-        ACTION_NAMES[kind_of(features, schema.ACTION)],
-        STATES[kind_of(features, schema.STATE)],
+        ACTION_NAMES[kind_by_size(features, schema.ACTION)],
+        STATES[kind_by_size(features, schema.STATE)],
         image_size=size,
         cameras=cameras,
         num_points=max(1, cloud[0] // 3) if cloud else None,

@@ -59,7 +59,7 @@ def names_of(feature: Mapping[str, Any] | None) -> list[str]:
     return [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
 
 
-def kind_of(feature: Mapping[str, Any] | None, kinds: Mapping[str, tuple[str, ...]]) -> str | None:
+def recorded_kind(feature: Mapping[str, Any] | None, kinds: Mapping[str, tuple[str, ...]]) -> str | None:
     """Returns the kind whose names a column has, of `STATES` or `ACTION_NAMES`; None if it has other names."""
     names = tuple(names_of(feature))
     return next((kind for kind, own in kinds.items() if own == names), None)
@@ -89,5 +89,5 @@ def is_dense(features: Mapping[str, Any]) -> bool:
         return False
     if is_former(features):
         return set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
-    has_kinds = kind_of(features.get(STATE), STATES) and kind_of(features.get(ACTION), ACTION_NAMES)
+    has_kinds = recorded_kind(features.get(STATE), STATES) and recorded_kind(features.get(ACTION), ACTION_NAMES)
     return bool(has_kinds)

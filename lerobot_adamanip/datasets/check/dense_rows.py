@@ -12,7 +12,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import EE_DELTA, FINGER_TRAVEL, JOINT, POSE
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.datasets.check.findings import Report, Rows
-from lerobot_adamanip.datasets.dense import kind_of
+from lerobot_adamanip.datasets.dense import kind_by_size
 from lerobot_adamanip.hardware.backends.franky_options import JOINT_RANGES
 
 Columns = Mapping[str, NDArray[Any]]
@@ -33,7 +33,7 @@ def check_dense_values(
         if key in columns and columns[key].shape[1:] == lowest.shape:
             values = columns[key].astype(np.float64)
             beyond = np.asarray(((values < lowest - MARGIN) | (values > highest + MARGIN)).any(axis=1))
-            kind = kind_of(features, key if key == schema.STATE else schema.ACTION)
+            kind = kind_by_size(features, key if key == schema.STATE else schema.ACTION)
             report.add_rows("limits", f"{key} is outside the limits of {kind}", where, beyond)
     if schema.TRIED in columns and schema.DIRECTION in columns:
         wrong = (columns[schema.TRIED] >= 0) != (columns[schema.DIRECTION] != 0)
@@ -43,13 +43,13 @@ def check_dense_values(
 def _limits(features: Mapping[str, Mapping[str, Any]]) -> dict[str, Limits]:
     """Returns column -> smallest and largest values, of the kinds that have limits of their own; poses have not."""
     limits: dict[str, Limits] = {}
-    action = kind_of(features, schema.ACTION)
+    action = kind_by_size(features, schema.ACTION)
     if action == EE_DELTA:
         limits |= dict.fromkeys((schema.ACTION, schema.EXECUTED), (np.full(7, -1.0), np.ones(7)))
     elif action == JOINT:
         low, high = (np.array(values) for values in JOINT_RANGES["panda"])
         limits |= dict.fromkeys((schema.ACTION, schema.EXECUTED), (np.append(low, 0.0), np.append(high, 1.0)))
-    if kind_of(features, schema.STATE) == POSE:
+    if kind_by_size(features, schema.STATE) == POSE:
         turn = np.full(3, 2.0 * np.pi)
         far = np.full(3, np.inf)
         limits[schema.STATE] = np.r_[-far, -turn, 0.0, 0.0], np.r_[far, turn, FINGER_TRAVEL, FINGER_TRAVEL]
