@@ -5,6 +5,7 @@ State, effort and all joints of arm and object must be bit-identical in every fr
 and all images of the first and last frame must be bit-identical, too.
 
 ``--plain`` moves the open hand to the part by ManiSkill's own control instead, and compares until the first try.
+``--dense`` moves it at control rate, 10 Hz, and compares the cloud and all images of every step.
 
 For example: ``python scripts/check_hidden_state.py --category all --seeds 100 --workers 2``. ``--no-hold`` makes the
 hidden state observable, so the check must fail. Returns 1 if a category fails.
@@ -13,6 +14,7 @@ hidden state observable, so the check must fail. Returns 1 if a category fails.
 from __future__ import annotations
 
 import sys
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,9 +23,12 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.keyframes import Phase
+from lerobot_adamanip.contract.keyframes import Feedback, Phase
 from lerobot_adamanip.contract.observation import state_vector
+from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.episode.dense import KeyFrameMotion
 from lerobot_adamanip.experts import make_expert
+from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND
 
 FIRST_SEED = 300
 TURNS = ({"direction": 1, "turn_range": 0.45}, {"direction": -1, "turn_range": 1.0})
@@ -72,6 +77,43 @@ def seen(task: Any, *, image: bool) -> Frame:
     return {"cloud": cameras.points(), **pictures}
 
 
+class DenseTask:
+    """What `KeyFrameMotion` needs to know of a task's arm."""
+
+    options = SimpleNamespace(fps=10)
+
+    def __init__(self, task: Any) -> None:
+        self._driver, self.motion_limits = task.driver, task.definition.motion
+
+    feedback = property(lambda self: self._driver.feedback)
+    is_blocked = property(lambda self: self._driver.stalled)
+    is_unreachable = property(lambda self: self._driver.unreachable)
+    is_at_rest = property(lambda self: self._driver.is_at_rest)
+
+    def action_toward(self, target: NDArray[np.float64], gripper: float) -> NDArray[np.float32]:
+        """Returns the pose action (10,) to a pose (4, 4) and a gripper opening."""
+        return pose_vector(target, gripper)
+
+
+def frames_of_steps(task: Any, seed: int, hidden: dict[str, Any]) -> list[Frame]:
+    """Lets the adaptive expert grasp the first part at control rate. Returns all data after each step."""
+    task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
+    expert = make_expert(task.category, "adaptive", task.placement.annotations, generator=np.random.default_rng(seed))
+    arm: Any = DenseTask(task)
+    frames, goal, opening = [frame(task) | seen(task, image=False)], next(expert), 1.0
+    while goal.phase in (Phase.APPROACH, Phase.GRASP):
+        motion = KeyFrameMotion(arm, goal, moves_gripper=goal.gripper != opening, strained=False)
+        outcome, opening = None, goal.gripper
+        while outcome is None:
+            task.driver.follow_target(motion.action())
+            for _ in range(TICKS_PER_SECOND // arm.options.fps):
+                task.driver.stream_tick()
+            outcome = motion.outcome()
+            frames.append(frame(task) | seen(task, image=False))
+        goal = expert.send(Feedback(arm.feedback.tcp_in_base, arm.feedback.gripper, outcome))
+    return frames
+
+
 def frames_until_tried(task: Any, seed: int, hidden: dict[str, Any]) -> list[Frame]:
     """Moves the open hand to the first part by ``pd_ee_delta_pose``. Returns all data before the first try."""
     task.reset(seed=seed, options={"hidden_overrides": hidden, "reconfigure": True})
@@ -112,9 +154,13 @@ def differences(first: list[Frame], second: list[Frame]) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def check(task: Any, seed: int, hold: bool, plain: bool) -> tuple[int, list[str]]:
+FRAMES_OF = {"keyframe": frames_until_held, "plain": frames_until_tried, "dense": frames_of_steps}
+"""Control -> the frames of an episode up to its first try."""
+
+
+def check(task: Any, seed: int, hold: bool, control: str) -> tuple[int, list[str]]:
     """Returns the seed and its differences between hidden states."""
-    frames_of, task.holds_joints = frames_until_tried if plain else frames_until_held, hold
+    frames_of, task.holds_joints = FRAMES_OF[control], hold
     first, *others = (frames_of(task, seed, hidden) for hidden in VARIANTS[task.category])
     return seed, [text for other in others for text in differences(first, other)]
 
@@ -124,16 +170,17 @@ def main() -> int:
     line = parser(__doc__, seeds=100, first_seed=FIRST_SEED)
     line.add_argument("--no-hold", action="store_true", help="let joints move from reset on; the check must fail")
     line.add_argument("--plain", action="store_true", help="ManiSkill's control instead of key frames")
+    line.add_argument("--dense", action="store_true", help="control rate instead of key frames")
     options = line.parse_args()
-    hold, plain = not options.no_hold, options.plain
-    control = {"control_mode": "pd_ee_delta_pose"} if plain else {}
+    hold, control = not options.no_hold, "plain" if options.plain else "dense" if options.dense else "keyframe"
+    mode = {"control_mode": "pd_ee_delta_pose"} if options.plain else {}
     reports, lines = [], []
-    for name, results in run_seeds(check, options, hold, plain, **control).items():
+    for name, results in run_seeds(check, options, hold, control, **mode).items():
         differing = {seed: texts for seed, texts in results if texts}
         counts = {"seeds": len(results), "variants": len(VARIANTS[name]), "differing_seeds": len(differing)}
         passed = bool(results) and not differing
         reports.append(
-            {"category": name, "hold": hold, "plain": plain, **counts, "differences": differing, "passed": passed}
+            {"category": name, "hold": hold, "control": control, **counts, "differences": differing, "passed": passed}
         )
         lines.append(
             f"{name:16} {len(results):4} seeds under {len(VARIANTS[name])} hidden states: "

@@ -30,7 +30,7 @@ from check_common import ROOT, count, header
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.evaluation.rates import wilson_interval
-from lerobot_adamanip.hardware.features import SCALAR_NAMES, SENT_NAMES
+from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.json_fields import parse, read
 from lerobot_policy_adamanip.common.inputs import read_columns
@@ -76,7 +76,13 @@ def lines_of(log: Path) -> list[dict[str, Any]]:
 def record(session: Session, options: argparse.Namespace) -> list[dict[str, Any]]:
     """Records episodes and returns the twin's log of them."""
     root = session.out / "recorded"
-    robot = (*TWIN, LOCKSTEP, f"--robot.seed={options.seed}", f"--robot.image_size={options.image_size}")
+    robot = (
+        *TWIN,
+        LOCKSTEP,
+        f"--robot.seed={options.seed}",
+        f"--robot.image_size={options.image_size}",
+        "--robot.depth=true",
+    )
     data = (DATASET, f"--dataset.root={root}", f"--dataset.num_episodes={options.episodes}")
     times = (f"--dataset.episode_time_s={ENDLESS}", "--dataset.reset_time_s=0")
     rest = ("--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false", QUIET)
@@ -161,8 +167,8 @@ def rows_of(root: Path, *columns: str) -> dict[str, Any]:
 
 def accepted_targets(recorded: Path, converted: Path) -> bool:
     """Returns whether each key frame's action equals, in float32, a target that the arm accepted in its episode."""
-    dense = rows_of(recorded, schema.STATE, "episode_index")
-    sent = dense[schema.STATE][:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]].astype(np.float32)
+    dense = rows_of(recorded, ARM, "episode_index")
+    sent = dense[ARM][:, [ARM_NAMES.index(name) for name in SENT_NAMES]].astype(np.float32)
     rows, origin = rows_of(converted, schema.ACTION, schema.DONE, "episode_index"), origins_of(converted)
     for action, done, episode in zip(*rows.values(), strict=True):
         accepted = sent[dense["episode_index"] == origin[int(episode)]]

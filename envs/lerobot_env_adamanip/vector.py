@@ -273,4 +273,5 @@ def _make(options: EnvironmentOptions, names: Mapping[str, str]) -> gym.Env[Any,
     env: gym.Env[Any, Any] = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
     env = FailMalformedActions(env)
     env = FlatCloud(env) if options.observes_cloud else env
-    return CameraNames(env, names) if options.observe_images else env
+    renamed = options.observe_images and any(name != camera for camera, name in names.items())
+    return CameraNames(env, names) if renamed else env

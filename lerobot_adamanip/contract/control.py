@@ -19,11 +19,11 @@ FINGER_TRAVEL = 0.04
 _AXES = ("x", "y", "z")
 _JOINTS = tuple(f"joint_{i}.pos" for i in range(1, NUM_JOINTS + 1))
 ACTION_NAMES = {
-    EE_DELTA: (*(f"ee.delta_{a}.pos" for a in _AXES), *(f"ee.delta_r{a}.pos" for a in _AXES), "gripper.command"),
+    EE_DELTA: (*(f"ee.delta_{a}.pos" for a in _AXES), *(f"ee.delta_r{a}.pos" for a in _AXES), "gripper.command.pos"),
     EE_POSE: POSE_NAMES,
     JOINT: (*_JOINTS, "gripper.pos"),
 }
-"""Kind of dense action -> names of its numbers.
+"""Kind of dense action -> names of its numbers. `lerobot-rollout` drops names that do not end in ``.pos`` or ``.vel``.
 
 ``ee_delta``: translation and rotation vector from the *measured* tool pose, along the robot base's axes, in units of
     `DELTA_POSITION` and `DELTA_ROTATION`, clipped to +-1; gripper -1 closed ... 1 open. This is the convention of

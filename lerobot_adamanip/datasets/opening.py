@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.contract.schema import POINT_CLOUD
+from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
-from lerobot_adamanip.hardware.features import DEPTH_SUFFIX
+from lerobot_adamanip.hardware.features import ARM, DEPTH_SUFFIX, FORMER_LABEL
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import (
     Check,
@@ -247,12 +247,23 @@ def recording_error(folder: Path, features: Mapping[str, Any]) -> DatasetError:
     name = as_typed(folder)
     hint = f"adamanip keyframes {name} --out {name}-keyframes"
     if not any(key.endswith(DEPTH_SUFFIX) for key in features):
-        hint = "lerobot-record with a depth camera: clouds need depth, which this recording lacks"
+        hint = "lerobot-record --robot.depth=true: this recording has no depth to make clouds of"
     return DatasetError(
         "This is a recording of ticks, not a dataset of key frames.",
         got=f"{name}, without {POINT_CLOUD}",
         allowed="a dataset of `adamanip collect` or `adamanip keyframes`",
         hint=hint,
+    )
+
+
+def former_error(folder: Path) -> DatasetError:
+    """Returns the error for a recording in the former format where the present one is needed."""
+    name = as_typed(folder)
+    return DatasetError(
+        "This recording has the former format: its state holds a clock and the result.",
+        got=f"{name}: {STATE} with {FORMER_LABEL}",
+        allowed="a state of tool pose and joints only",
+        hint=f"adamanip check {name} --repair, which moves the rest to {ARM}",
     )
 
 

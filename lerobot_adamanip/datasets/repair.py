@@ -24,6 +24,7 @@ from lerobot_adamanip.datasets.opening import INFO, first_line, require_dataset
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.datasets.writing import camera_records, cameras_json
+from lerobot_adamanip.hardware.features import is_former
 from lerobot_adamanip.util import files
 
 
@@ -64,9 +65,13 @@ class Repair:
     def replace(self, path: Path, content: Mapping[str, Any], what: str) -> None:
         """Writes a JSON file, after copying the old one into the backup."""
         if path.exists():
-            self._back_up(path, shutil.copy2)
+            self.back_up(path)
         files.write_atomically(path, (json.dumps(content, indent=4) + "\n").encode())
         self._note(path, what)
+
+    def back_up(self, path: Path) -> None:
+        """Copies a file into the backup, before it is changed."""
+        self._back_up(path, shutil.copy2)
 
     def _back_up(self, path: Path, move: Callable[[Path, Path], object]) -> None:
         place = self.backup / path.relative_to(self.root)
@@ -131,6 +136,8 @@ def _write_totals(done: Repair) -> None:
         info = {**dataset.info, **true, "splits": {"train": f"0:{len(dataset.episodes)}"}}
         done.replace(done.root / INFO, info, f"{len(dataset.episodes)} episodes, {rows} rows, counted again")
         dataset.info.update(true)
+    if is_former(dataset.features):
+        return  # its rows may be half converted; `former_recordings` computes the statistics
     report, stored = Report(), stored_statistics(dataset.statistics)
     check_statistics(dataset, stored, report)
     if report.counts:

@@ -1,7 +1,7 @@
-"""Names of the robot's features and of the files in a dense recording.
+"""Columns of a robot's recording, and the files next to it.
 
-LeRobot's recorder puts all scalars into one ``observation.state``, in this order. Rollouts keep only names that end in
-``.pos`` or ``.vel``, the policy's state. No other name may have these endings.
+A recording has the columns of simulated demonstrations at control rate, `schema.dense_features`. What else the recorder
+knows, among it a clock, is in the column `ARM`, which no policy reads.
 """
 
 from __future__ import annotations
@@ -9,17 +9,32 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from lerobot_adamanip.contract.schema import ACTION, EFFORT_NAMES, OUTCOME, POINT_CLOUD, POSE_NAMES, STATE, STATE_NAMES
+from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.schema import (
+    ACTION,
+    EFFORT_NAMES,
+    KEY_FRAME,
+    OUTCOME,
+    POINT_CLOUD,
+    POSE_NAMES,
+    STATE,
+    STATE_NAMES,
+    dense_features,
+)
 
+ARM = "complementary_info.arm"
+"""Column with the arm's reading of each row, see `ARM_NAMES`."""
 SENT_NAMES = tuple(f"sent.{name.removesuffix('.pos')}" for name in POSE_NAMES)
 """Names of the last accepted target. LeRobot stores the teleoperator's action, which the filter may have clipped."""
 OUTCOME_NAME = "arm.outcome"
 """`keyframes.Outcome` of the latest key frame; -1 before the first and during streaming."""
 STAMP_NAME = "arm.stamp"
 """Measurement time of the state [s since connection]. LeRobot's rows have only the loop's nominal time."""
-LABEL_NAME = "label.success"
-"""1 after the operator pressed the success key or the twin's task is done; 0 before."""
-SCALAR_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME, LABEL_NAME)
+ARM_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME)
+FORMER_LABEL = "label.success"
+"""Success in the state of recordings in the former format."""
+FORMER_NAMES = (*ARM_NAMES, FORMER_LABEL)
+"""State of recordings in the former format, which holds a clock and the result."""
 UNLABELLED = -1
 """Phase and trial of human demonstrations."""
 FRONT_CAMERA = "front"
@@ -30,7 +45,7 @@ DEPTH_SUFFIX = "_depth"
 INTERVENTION = "intervention"
 """Column of recorded rollouts: whether a person or an expert had taken over."""
 KEY_FRAME_COLUMNS = frozenset((POINT_CLOUD, OUTCOME))
-"""Columns that datasets of key frames have and recordings of ticks do not."""
+"""Columns of datasets of key frames. Data at control rate may have them too, beside `schema.KEY_FRAME`."""
 
 CALIBRATIONS = "meta/calibrations.json"
 """Calibration file of a recording."""
@@ -44,12 +59,35 @@ def names_of(feature: Mapping[str, Any] | None) -> list[str]:
     return [name for group in names.values() for name in group] if isinstance(names, Mapping) else list(names or ())
 
 
-def is_dense(features: Mapping[str, Any]) -> bool:
-    """Returns whether the features are those of a dense recording of our robots, not of key frames.
+def kind_of(feature: Mapping[str, Any] | None, kinds: Mapping[str, tuple[str, ...]]) -> str | None:
+    """Returns the kind whose names a column has, of `STATES` or `ACTION_NAMES`; None if it has other names."""
+    names = tuple(names_of(feature))
+    return next((kind for kind, own in kinds.items() if own == names), None)
 
-    `lerobot-record` keeps all scalars; `lerobot-rollout` keeps the 24 that a policy reads.
+
+def is_former(features: Mapping[str, Any]) -> bool:
+    """Returns whether a recording has the former format, with a clock and the result in ``observation.state``."""
+    return set(FORMER_NAMES) <= set(names_of(features.get(STATE)))
+
+
+def recorded_features(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the features of a recording: LeRobot's for a robot, the labels of simulated demonstrations, and `ARM`."""
+    action, state = (names_of(features[key]) for key in (ACTION, STATE))
+    labels = dense_features(action, state, cameras=())
+    arm = {"dtype": "float32", "shape": (len(ARM_NAMES),), "names": list(ARM_NAMES)}
+    return {**labels, **features, ARM: arm}
+
+
+def is_dense(features: Mapping[str, Any]) -> bool:
+    """Returns whether the features are those of a recording of our robots, complete or as LeRobot makes them.
+
+    Simulated demonstrations are no recordings: they have labels, but not the column `ARM`.
     """
-    names = names_of(features.get(STATE))
-    ours = set(SCALAR_NAMES) <= set(names) or names == list(STATE_NAMES)
-    ours = ours and set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
-    return ours and not KEY_FRAME_COLUMNS & set(features)
+    if ARM in features:
+        return True
+    if (KEY_FRAME_COLUMNS | {KEY_FRAME}) & set(features):
+        return False
+    if is_former(features):
+        return set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
+    has_kinds = kind_of(features.get(STATE), STATES) and kind_of(features.get(ACTION), ACTION_NAMES)
+    return bool(has_kinds)

@@ -12,8 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.contract.control import EE_POSE, FULL
+from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
+from lerobot_adamanip.hardware.dense_kinds import encode_action, named_state, state_of
+from lerobot_adamanip.hardware.recorded_rows import ObservedRows, recorded_row
 from lerobot_adamanip.hardware.safety import SafetyLimits
 
 LOCKSTEP_DT = "lockstep_dt"
@@ -33,8 +37,10 @@ class RobotSession:
         sent: (10,) last accepted target; None before the first.
         safety: limits of the robot's safety filter.
         execution: mode of all actions; None if unknown.
+        action, state: kinds of action and state, see `contract.control`.
         calibrations: camera calibrations by camera key.
         details: further descriptions from the backend (twin: its annotations and episode).
+        rows: rows of the latest observations, for the recorder.
         episodes: counter of started and abandoned episodes. At each, teleoperators anchor their goal again.
     """
 
@@ -42,9 +48,43 @@ class RobotSession:
     sent: NDArray[np.float32] | None = None
     safety: SafetyLimits | None = None
     execution: Execution | None = None
+    action: str = EE_POSE
+    state: str = FULL
     calibrations: dict[str, CameraCalibration] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
     episodes: int = 0
+    rows: ObservedRows = field(default_factory=ObservedRows)
+
+    @property
+    def success(self) -> bool:
+        """Whether the operator or a twin reports success."""
+        return bool(self.details.get(OPERATOR_SUCCESS) or self.details.get(SUCCESS))
+
+    def observe(self, reading: ArmReading, stamp: float) -> dict[str, float]:
+        """Stores a reading for teleoperators and the recorder.
+
+        Args:
+            reading: arm reading.
+            stamp: its measurement time since connection [s].
+
+        Returns:
+            Numbers of the reading by name: those of `state`, and the tool pose.
+        """
+        self.reading = reading
+        sent = pose_vector(reading.tcp_in_base, reading.gripper) if self.sent is None else self.sent
+        self.rows.add(state_of(self.state, reading), recorded_row(self.action, reading, sent, stamp))
+        return named_state(self.state, reading)
+
+    def act(self, sent: NDArray[np.float32], observed: ArmReading) -> dict[str, float]:
+        """Stores a target that the arm accepted after an observation, and whether the task is done now.
+
+        Returns:
+            The target as an action by name.
+        """
+        self.sent = sent
+        action = encode_action(self.action, sent, observed)
+        self.rows.complete(np.array(list(action.values()), np.float32), sent, self.success)
+        return action
 
 
 class RobotRegistry:

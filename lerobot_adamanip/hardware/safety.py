@@ -290,7 +290,7 @@ class SafetyFilter:
         if (ahead := math.dist(position, measured.position)) > self.limits.lead:
             lead = self.limits.lead - ROUNDING
             position = measured.position + (position - measured.position) * (lead / ahead)
-        if (way := math.dist(position, origin.position)) > step:
+        if (way := math.dist(position, origin.position)) > max(0.0, step):
             position = origin.position + (position - origin.position) * (max(0.0, step) / way)
         return self.limits.into_box(turned.moved_to(position, goal.gripper))
 

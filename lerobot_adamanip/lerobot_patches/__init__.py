@@ -15,7 +15,7 @@ __all__ = ["NO_PATCHES", "PATCHES", "apply", "restore"]
 PATCHES = {
     "durable_recording": (
         "lerobot.datasets.lerobot_dataset",
-        "A kill loses every episode of a recording session, and recordings lack the robot's calibrations.",
+        "A kill loses every episode of a recording session; recordings lack the arm's readings and calibrations.",
     ),
     "ordered_depth": (
         "lerobot.datasets.lerobot_dataset",

@@ -5,11 +5,13 @@ Changes:
     ``LeRobotDataset.resume``, which first repairs such a recording. Each episode gets its own files, complete when it
     is saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A
     kill in between leaves uncounted files, and `datasets.repair` moves them away. The writer also stores calibrations
-    and safety limits of the connected robot next to its recording.
+    and safety limits of the connected robot next to its recording, and adds to each row the columns of simulated
+    demonstrations and the arm's reading. ``LeRobotDataset.create`` adds these columns; the recorder's comparison
+    expects them when it resumes.
 Why:
-    LeRobot completes its Parquet files when a session ends.
+    LeRobot completes its Parquet files when a session ends. It makes all numbers of a robot inputs of policies.
 Without it:
-    A kill loses every episode of a recording session, and recordings lack the robot's calibrations.
+    A kill loses every episode of a recording session; recordings lack the arm's readings and calibrations.
 Upstream:
     https://github.com/huggingface/lerobot/issues/3522 and https://github.com/huggingface/lerobot/issues/2495;
     https://github.com/huggingface/lerobot/pull/2864 (open) flushes periodically, but not for `lerobot-record`.
@@ -26,7 +28,7 @@ import functools
 import json
 import logging
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,26 +41,34 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
 
-from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
+from lerobot_adamanip.contract.schema import ACTION, DONE, STATE
+from lerobot_adamanip.datasets.opening import former_error
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.camera_frames import save_calibration
-from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, SCALAR_NAMES, is_dense
+from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense, is_former, recorded_features
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import SafetyLimits
-from lerobot_adamanip.lerobot_patches.support import UnsupportedError, replace
+from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 from lerobot_adamanip.util import files
 
 INFO = "info.json"
+RECORDER, COMPARISON = "lerobot.scripts.lerobot_record", "sanity_check_dataset_robot_compatibility"
 _log = logging.getLogger(__name__)
 
 
 def apply() -> None:
     """Applies the patch. Raises `UnsupportedError` if an episode is not readable as soon as it is saved."""
-    stock, resume = lerobot_dataset.DatasetWriter, LeRobotDataset.resume.__func__
+    stock = lerobot_dataset.DatasetWriter
+    create, resume = LeRobotDataset.create.__func__, LeRobotDataset.resume.__func__
 
     def make_writer(meta: Any, *args: Any, **options: Any) -> Any:
         return (DurableWriter if is_dense(meta.features) else stock)(meta, *args, **options)
+
+    @functools.wraps(create)
+    def create_with_robot(cls: type[Any], repo_id: str, fps: int, features: Any, *args: Any, **options: Any) -> Any:
+        return create(cls, repo_id, fps, with_robot_columns(features), *args, **options)
 
     @functools.wraps(resume)
     def resume_mended(cls: type[Any], repo_id: str, root: str | Path | None = None, *args: Any, **options: Any) -> Any:
@@ -67,11 +77,31 @@ def apply() -> None:
         return resume(cls, repo_id, root, *args, **options)
 
     replace(lerobot_dataset, "DatasetWriter", make_writer)
+    replace(LeRobotDataset, "create", classmethod(create_with_robot))
     replace(LeRobotDataset, "resume", classmethod(resume_mended))
+    if hasattr(recorder := loaded(RECORDER), COMPARISON):
+        replace(recorder, COMPARISON, comparing(getattr(recorder, COMPARISON)))
     try:
         rehearse()
     except Exception as error:
         raise UnsupportedError(str(error)) from error
+
+
+def with_robot_columns(features: dict[str, Any]) -> dict[str, Any]:
+    """Returns the features of a new dataset, with the recorder's columns if it is a recording of our robots."""
+    return recorded_features(features) if is_dense(features) and not is_former(features) else features
+
+
+def comparing(stock: Callable[..., None]) -> Callable[..., None]:
+    """Returns LeRobot's comparison of a robot with the recording that it resumes, aware of the added columns."""
+
+    @functools.wraps(stock)
+    def compare(dataset: Any, robot: Any, fps: int, features: dict[str, Any]) -> None:
+        if is_former(dataset.features):
+            raise former_error(dataset.root)
+        stock(dataset, robot, fps, with_robot_columns(features))
+
+    return compare
 
 
 class DurableMetadata(LeRobotDatasetMetadata):
@@ -146,6 +176,19 @@ class DurableWriter(DatasetWriter):
         self._lock.enter_context(lock_output(resolve_output(meta.root), optional=True))
         meta.__class__ = DurableMetadata  # the same data, written differently
 
+    def add_frame(self, frame: dict[str, Any]) -> None:
+        """Like LeRobot's, with the arm's reading that the row was observed with."""
+        session = ROBOTS.find()
+        row = {} if session is None else session.rows.find(frame[STATE])
+        super().add_frame({**{key: value for key, value in row.items() if key in self._meta.features}, **frame})
+
+    def save_episode(self, episode_data: dict[str, Any] | None = None, parallel_encoding: bool = True) -> None:
+        """Like LeRobot's, but marks the last row as the episode's end."""
+        ends = (self.episode_buffer if episode_data is None else episode_data).get(DONE)
+        if ends:
+            ends[-1] = np.array([True])
+        super().save_episode(episode_data, parallel_encoding)
+
     def finalize(self) -> None:
         """Like LeRobot's, but with true statistics. Afterwards another process may write or repair the dataset."""
         is_open = not getattr(self, "_finalized", False)
@@ -164,8 +207,9 @@ class DurableWriter(DatasetWriter):
 
 def rehearse() -> None:
     """Records two episodes of one row into a scratch folder. Raises if a saved one cannot be read."""
-    names = {STATE: SCALAR_NAMES, ACTION: POSE_NAMES}
+    names = {STATE: STATES[POSE], ACTION: ACTION_NAMES[EE_DELTA]}
     features = {key: {"dtype": "float32", "shape": (len(own),), "names": list(own)} for key, own in names.items()}
+    zeros = {key: np.zeros(column["shape"], column["dtype"]) for key, column in with_robot_columns(features).items()}
     quiet = datasets.are_progress_bars_disabled()
     datasets.disable_progress_bars()
     try:
@@ -173,8 +217,7 @@ def rehearse() -> None:
             root = Path(folder) / "rehearsal"
             dataset = LeRobotDataset.create("local/rehearsal", 30, features, root=root)
             for episodes in (1, 2):
-                row = {key: np.zeros(len(own), np.float32) for key, own in names.items()}
-                dataset.add_frame({**row, "task": "rehearsal"})
+                dataset.add_frame({**zeros, "task": "rehearsal"})
                 dataset.save_episode()
                 counted = json.loads((root / "meta" / INFO).read_text(encoding="utf-8"))["total_episodes"]
                 counts = [counted, *(_rows(root / name) for name in ("data", "meta/episodes"))]

@@ -193,7 +193,7 @@ class _Conversion:
                 raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
             self.skipped.append(name)
             return None
-        if options.successful and not recording.has_success:
+        if options.successful and not recording.has_success and not episode.success.any():
             episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
         columns = demonstration_columns(
             episode, chosen, lambda tick: recording.pictures(number, begin + tick), calibration, options.rows

@@ -13,14 +13,17 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
+from lerobot_adamanip.contract.dense_codec import pose_of_delta
+from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations
 from lerobot_adamanip.hardware.features import (
+    ARM,
     CALIBRATIONS,
     DEPTH_SUFFIX,
+    FORMER_LABEL,
     FRONT_CAMERA,
     INTERVENTION,
-    LABEL_NAME,
     OUTCOME_NAME,
     SAFETY,
     SENT_NAMES,
@@ -56,14 +59,19 @@ class DenseRecording:
             raise _unusable(
                 dataset.root,
                 "columns " + ", ".join(sorted(dataset.features)),
-                "observation.state with the names of `lerobot_adamanip.hardware.features.SCALAR_NAMES`",
+                f"{schema.STATE} and {schema.ACTION} with the names of `lerobot_adamanip.contract.control`",
                 "lerobot-record --robot.type=adamanip_franka",
             )
         depth = image_column(camera) + DEPTH_SUFFIX
         if depth not in dataset.features:
             pictures = [key for key in dataset.features if is_image_column(key)]
-            raise _unusable(dataset.root, f"pictures {pictures}", depth, "--camera with a depth camera")
-        return cls(dataset, camera)
+            hint = "--camera with a depth camera; lerobot-record --robot.depth=true"
+            raise _unusable(dataset.root, f"pictures {pictures}", depth, hint)
+        recording = cls(dataset, camera)
+        if not set(schema.STATE_NAMES) <= set(recording._names):
+            names = f"{schema.STATE} with {', '.join(recording._names)}"
+            raise _unusable(dataset.root, names, f"a column {ARM}", "lerobot-record --robot.state=full")
+        return recording
 
     @property
     def root(self) -> Path:
@@ -100,32 +108,45 @@ class DenseRecording:
         """Returns an episode's columns. Raises `DatasetError` for values that are not finite."""
         episode = self.dataset.episode(number)
         columns = self.dataset.columns(episode)
-        states, asked = (columns[key].astype(np.float32, copy=False) for key in (schema.STATE, schema.ACTION))
-        names, asked_names = (names_of(self.dataset.features[key]) for key in (schema.STATE, schema.ACTION))
+        readings = columns[ARM if ARM in columns else schema.STATE]
+        names = self._names
 
-        def scalars(selected: Sequence[str], default: float) -> NDArray[np.float32]:
-            if not self._has(selected):
-                return np.full((len(states), len(selected)), default, np.float32)
-            return states[:, [names.index(name) for name in selected]]
+        def numbers(selected: Sequence[str], default: float) -> NDArray[np.float32]:
+            if not set(selected) <= set(names):
+                return np.full((len(readings), len(selected)), default, np.float32)
+            return readings[:, [names.index(name) for name in selected]].astype(np.float32, copy=False)
 
-        state = scalars(schema.STATE_NAMES, np.nan)
+        state = numbers(schema.STATE_NAMES, np.nan)
         if not np.isfinite(state).all() or len(state) < 2:
-            got = f"episode {number}: {len(state)} ticks, NaN or infinity in {schema.STATE}"
+            got = f"episode {number}: {len(state)} ticks, NaN or infinity in the arm's state"
             raise _unusable(self.root, got, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
-        asked = asked[:, [asked_names.index(name) for name in schema.POSE_NAMES]]
-        sent = scalars(SENT_NAMES, np.nan) if self._has(SENT_NAMES) else self._accepted(asked, state[0, :10])
-        corrected = columns.get(INTERVENTION)
+        requested = self._targets(columns[schema.ACTION].astype(np.float32, copy=False), state)
+        sent = numbers(SENT_NAMES, np.nan) if SENT_NAMES[0] in names else self._accepted(requested, state[0, :10])
+        success, corrected = columns.get(schema.SUCCESS, numbers([FORMER_LABEL], 0.0)), columns.get(INTERVENTION)
         return DenseEpisode(
             state=state,
-            effort=scalars(schema.EFFORT_NAMES, 0.0),
-            sent=_targets(sent, state),
-            stamp=scalars([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
-            outcome=np.rint(scalars([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
-            success=scalars([LABEL_NAME], 0.0)[:, 0] > 0.5,
+            effort=numbers(schema.EFFORT_NAMES, 0.0),
+            sent=_known_targets(sent, state),
+            stamp=numbers([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
+            outcome=np.rint(numbers([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
+            success=success.reshape(-1) > 0.5,
             task=self.dataset.tasks[int(columns["task_index"][0])],
-            asked=asked,
+            asked=requested,
             corrected=None if corrected is None else corrected.reshape(-1).astype(bool),
         )
+
+    @property
+    def _names(self) -> list[str]:
+        """Names of the arm's numbers: in the column `ARM`, or in the state of a recording without it."""
+        return names_of(self.dataset.features.get(ARM, self.dataset.features[schema.STATE]))
+
+    def _targets(self, actions: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Returns the requested targets (T, 10) of actions of either kind."""
+        names = names_of(self.dataset.features[schema.ACTION])
+        if not set(schema.POSE_NAMES) <= set(names):
+            poses = [pose_from_vector(row[: schema.ACTION_DIM])[0] for row in state]
+            return np.stack([pose_of_delta(action, pose) for action, pose in zip(actions, poses, strict=True)])
+        return actions[:, [names.index(name) for name in schema.POSE_NAMES]]
 
     def _accepted(self, asked: NDArray[np.float32], first: NDArray[np.float32]) -> NDArray[np.float32]:
         """Returns the accepted target at each tick of a rollout (T, 10). A rollout records only the requested actions.
@@ -147,13 +168,11 @@ class DenseRecording:
             sent.append(sent[-1] if allowed is None else allowed)
         return np.stack(sent)
 
-    def _has(self, selected: Sequence[str]) -> bool:
-        return set(selected) <= set(names_of(self.dataset.features[schema.STATE]))
-
     @property
     def has_success(self) -> bool:
-        """Whether the recording contains success. Rollouts do not."""
-        return self._has([LABEL_NAME])
+        """Whether somebody reported success while recording. Nobody does on rollouts."""
+        features = self.dataset.features
+        return INTERVENTION not in features and (schema.SUCCESS in features or FORMER_LABEL in self._names)
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""
@@ -165,7 +184,7 @@ class DenseRecording:
         return colour, depth.round().astype(np.uint16)
 
 
-def _targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
+def _known_targets(sent: NDArray[np.float32], state: NDArray[np.float32]) -> NDArray[np.float32]:
     """Returns accepted targets, or the tool pose before the first accepted target."""
     rotation = sent[:, schema.ROTATION_DIMS].reshape(-1, 2, 3)
     known = np.isfinite(sent).all(axis=1) & (np.abs(np.linalg.norm(rotation, axis=2) - 1.0) < _ROTATION_OFF).all(axis=1)

@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-from dense_helpers import STOPS, add, begun, dense_episode
+from dense_helpers import STOPS, add, begun, dense_episode, dense_features, frames
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.repair import repair
+from lerobot_adamanip.hardware.features import recorded_features
 from lerobot_adamanip.util import files
 
 EPISODE = dense_episode(STOPS[:2])
@@ -88,7 +89,8 @@ def test_every_saved_episode_is_kept_and_recording_goes_on(
     again.finalize()
     assert check(root).findings == []
     rows = pq.read_table(sorted((root / "data").glob("*/*.parquet")))[schema.ACTION].to_pylist()
-    np.testing.assert_array_equal(np.array(rows, np.float32), np.concatenate([EPISODE.asked] * 2))
+    actions = [frame["action"] for frame in frames(EPISODE, recorded_features(dense_features()))]
+    np.testing.assert_array_equal(np.array(rows, np.float32), np.concatenate([actions] * 2))
 
 
 def test_what_no_recorder_of_ours_leaves_is_named_and_left_alone(finished: Path, tmp_path: Path) -> None:

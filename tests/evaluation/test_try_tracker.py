@@ -150,7 +150,7 @@ def test_key_frames_have_the_labels_of_their_longest_try(world: World) -> None:
     world.rests("door")
     assert labeler.after_key_frame(world.positions) == KeyFrameLabels()
     world.blocked("door", ticks=8)
-    assert labeler.after_key_frame(world.positions) == KeyFrameLabels(0, failed=True, direction=1)
+    assert labeler.after_key_frame(world.positions) == KeyFrameLabels(0, failed=True, direction=1, number=0)
     world.rests("door")
     assert labeler.after_key_frame(world.positions) == KeyFrameLabels(trial=1)
     for _ in range(2):

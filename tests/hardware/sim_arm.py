@@ -75,7 +75,7 @@ class SimulatedArm:
 
 def robot_on(arm: SimulatedArm, folder: Path, **options: Any) -> AdamanipFranka:
     """The robot as configured for a simulated FR3: watchdogs of wall time are wide, a busy machine slows the arm."""
-    given = {"state_age": 20.0, "command_age": 20.0, "motion_time": 250.0, **BOX, **options}
+    given = {"state_age": 20.0, "command_age": 20.0, "motion_time": 250.0, "action": "ee_pose", **BOX, **options}
     config = AdamanipFrankaConfig(
         id="sim", calibration_dir=folder, address=arm.host, model="fr3", realtime=False, **given
     )

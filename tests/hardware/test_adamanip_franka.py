@@ -18,15 +18,17 @@ from filter_fuzz import LIMITS, START
 from lerobot.robots import RobotConfig
 from lerobot.robots.utils import make_robot_from_config
 
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, EE_POSE, FULL, POSE, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import Array, pose_from_vector, pose_vector, rotation_about, transform
-from lerobot_adamanip.contract.schema import POSE_NAMES, STATE_NAMES
+from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka, MotionDriver
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process import server
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
-from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.hardware.dense_kinds import encode_action
+from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.teleoperators.config_devices import AdamanipKeyboardConfig
@@ -62,7 +64,8 @@ def make(tmp_path: Path) -> Iterator[Callable[..., FakeFranka]]:
     def make(
         server: ServerOptions = PATIENT, wall: float = 0.7, flags: tuple[str, ...] = (), **options: Any
     ) -> FakeFranka:
-        config = AdamanipFrankaConfig(id="test", calibration_dir=tmp_path, **{**BOX, **options})
+        options = {**BOX, "action": EE_POSE, "state": FULL, **options}
+        config = AdamanipFrankaConfig(id="test", calibration_dir=tmp_path, **options)
         robot = FakeFranka(config)
         robot.server, robot.options = server, {"wall": wall, "flags": flags}
         robots.append(robot)
@@ -82,6 +85,12 @@ def pose_of(observation: dict[str, Any]) -> dict[str, float]:
     return {name: observation[name] for name in POSE_NAMES}
 
 
+def recorded(robot: FakeFranka, seen: dict[str, Any]) -> dict[str, float]:
+    """The arm's reading that the recorder stores beside an observation."""
+    state = np.array([seen[name] for name in robot.observation_features], np.float32)
+    return dict(zip(ARM_NAMES, robot.session.rows.find(state)[ARM].tolist(), strict=True))
+
+
 def test_lerobot_makes_it_from_its_own_command_line() -> None:
     arguments = ["--type=adamanip_franka", "--id=a", "--address=172.16.0.2", "--model=fr3"]
     box = ["--box_lower=[0.3, -0.4, 0.0]", "--box_upper=[0.8, 0.4, 0.7]"]
@@ -93,21 +102,50 @@ def test_lerobot_makes_it_from_its_own_command_line() -> None:
     assert not robot.is_connected
 
 
-def test_features_are_the_contracts(make: Callable[..., FakeFranka]) -> None:
-    robot = make()
-    assert tuple(robot.observation_features) == SCALAR_NAMES
-    assert set(robot.observation_features.values()) == {float}
-    assert tuple(robot.action_features) == POSE_NAMES
-    kept_by_rollouts = tuple(name for name in robot.observation_features if name.endswith((".pos", ".vel")))
-    assert kept_by_rollouts == STATE_NAMES
+@pytest.mark.parametrize("action", [EE_DELTA, EE_POSE])
+@pytest.mark.parametrize("state", [POSE, FULL])
+def test_features_are_those_of_demonstrations(make: Callable[..., FakeFranka], action: str, state: str) -> None:
+    robot = make(action=action, state=state)
+    assert robot.observation_features == dict.fromkeys(STATES[state], float)
+    assert robot.action_features == dict.fromkeys(ACTION_NAMES[action], float)
+    names = (*robot.observation_features, *robot.action_features)
+    assert all(name.endswith((".pos", ".vel")) for name in names)  # rollouts drop the others
     robot.connect()
     seen = robot.get_observation()
-    assert tuple(seen) == SCALAR_NAMES
+    assert set(seen) == {*STATES[state], *POSE_NAMES}  # and the pose, to which a rollout returns
     assert all(isinstance(value, float) for value in seen.values())
-    assert seen["arm.outcome"] == -1
-    assert [seen[name] for name in SCALAR_NAMES if name.startswith("sent.")] == pytest.approx(
-        [seen[name] for name in POSE_NAMES], abs=1e-6
-    )
+    row = recorded(robot, seen)
+    assert row["arm.outcome"] == -1
+    assert [row[name] for name in SENT_NAMES] == pytest.approx([seen[name] for name in POSE_NAMES], abs=1e-6)
+
+
+@pytest.mark.parametrize("action", [EE_DELTA, EE_POSE])
+def test_an_action_of_either_kind_moves_to_the_same_target(make: Callable[..., FakeFranka], action: str) -> None:
+    robot = make(LOCKSTEP, action=action)
+    robot.connect()
+    robot.get_observation()
+    for _ in range(12):
+        reading = robot.session.reading
+        assert reading is not None
+        goal = reading.tcp_in_base.copy()
+        goal[:3, 3] += (0.0, 0.002, 0.0)
+        returned = robot.send_action(encode_action(action, pose_vector(goal, 0.5), reading))
+        assert tuple(returned) == ACTION_NAMES[action]
+        assert robot.session.sent is not None
+        assert robot.session.sent[9] == pytest.approx(0.5)
+        robot.get_observation()
+    assert robot.session.reading is not None
+    assert robot.session.reading.tcp_in_base[1, 3] > 0.015
+
+
+def test_joint_positions_and_kinds_of_key_frames_are_refused(make: Callable[..., FakeFranka]) -> None:
+    with pytest.raises(ConfigurationError, match="joint positions"):
+        make(action="joint")
+    for options in ({"action": EE_DELTA}, {"state": POSE}):
+        with pytest.raises(ConfigurationError, match=r"(?s)does not fit.*execution=keyframe"):
+            make(**{"execution": "keyframe", "action": None, "state": None, **options})
+    with pytest.raises(AdaManipError, match="ee_delta"):
+        make(action="ee_deltas")
 
 
 def test_box_and_arm_have_to_be_given(make: Callable[..., FakeFranka], tmp_path: Path) -> None:
@@ -141,8 +179,8 @@ def test_the_first_action_of_a_stream_does_not_move_it_the_next_only_so_far(
     time.sleep(0.03)
     sent = robot.send_action(far)
     assert 0.002 < sent["ee.x.pos"] - start["ee.x.pos"] <= 0.0101  # 0.1 m/s, at most 0.1 s
-    seen = robot.get_observation()
-    assert seen["sent.ee.x"] == pytest.approx(sent["ee.x.pos"], abs=0)
+    row = recorded(robot, robot.get_observation())
+    assert row["sent.ee.x"] == pytest.approx(sent["ee.x.pos"], abs=0)
 
 
 def test_what_is_returned_is_what_the_arm_was_sent(make: Callable[..., FakeFranka]) -> None:
@@ -167,9 +205,9 @@ def test_a_key_frame_is_one_call_and_its_end_is_observed(make: Callable[..., Fak
     assert sent["ee.x.pos"] == pytest.approx(0.55)
     assert seen["ee.x.pos"] == pytest.approx(0.55, abs=1e-6)
     assert seen["gripper.pos"] == 0.0
-    assert seen["arm.outcome"] == Outcome.REACHED
+    assert recorded(robot, seen)["arm.outcome"] == Outcome.REACHED
     robot.send_action({**start, "ee.x.pos": 0.8})  # a wall at 0.7
-    assert robot.get_observation()["arm.outcome"] == Outcome.STALLED
+    assert recorded(robot, robot.get_observation())["arm.outcome"] == Outcome.STALLED
 
 
 def test_a_malformed_action_keeps_the_last_and_a_missing_name_is_an_error(make: Callable[..., FakeFranka]) -> None:

@@ -14,11 +14,12 @@ import torch
 from safetensors.numpy import save_file
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, EE_POSE, FULL, POSE, STATES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import execution_of_data, execution_of_policy
 from lerobot_adamanip.hardware.arm import Execution
-from lerobot_adamanip.hardware.features import INTERVENTION, SCALAR_NAMES
+from lerobot_adamanip.hardware.features import FORMER_NAMES, INTERVENTION, recorded_features
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
@@ -26,12 +27,15 @@ from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 
 KEY_FRAMES = schema.dataset_features()
 TICKS: dict[str, Any] = {
-    schema.STATE: {"names": list(SCALAR_NAMES)},
+    schema.STATE: {"names": list(FORMER_NAMES)},
     schema.ACTION: {"names": list(schema.POSE_NAMES)},
     "observation.images.front_depth": {},
 }
+"""A recording in the former format."""
 ROLLOUT = {**TICKS, schema.STATE: {"names": list(schema.STATE_NAMES)}, INTERVENTION: {}}
-PAIRS = [("stream", KEY_FRAMES, "keyframe"), ("keyframe", TICKS, "stream")]
+SIMULATED = schema.dense_features(ACTION_NAMES[EE_POSE], STATES[FULL], num_points=16)
+RECORDED = recorded_features(schema.dense_features(ACTION_NAMES[EE_DELTA], STATES[POSE]))
+PAIRS = [("stream", KEY_FRAMES, "keyframe"), *(("keyframe", data, "stream") for data in (TICKS, SIMULATED, RECORDED))]
 
 
 class ReachedError(Exception):

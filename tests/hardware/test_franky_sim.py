@@ -60,7 +60,10 @@ def act(robot: AdamanipFranka, target: np.ndarray) -> np.ndarray:
 
 
 def outcome(robot: AdamanipFranka) -> Outcome:
-    return Outcome(int(robot.get_observation()["arm.outcome"]))
+    robot.get_observation()
+    assert robot.session.reading is not None
+    assert robot.session.reading.outcome is not None
+    return robot.session.reading.outcome
 
 
 def moved(start: np.ndarray, position: tuple[float, float, float] = (0, 0, 0), turn: float = 0.0) -> np.ndarray:

@@ -9,7 +9,7 @@ from pathlib import Path
 import demos_fake_env
 import numpy as np
 from demos_helpers import make_spec, patiently
-from dense_helpers import STOPS, dense_episode, dense_features, scalars, write_recording
+from dense_helpers import STOPS, dense_episode, dense_features, frames, write_recording
 from sound_demos import PIXELS, POINTS, collect_sound, make_sound_env
 
 from lerobot_adamanip.cli.main import main
@@ -17,6 +17,7 @@ from lerobot_adamanip.collection.collect import collect
 from lerobot_adamanip.collection.record import Factories
 from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.contract.schema import ACTION, STATE
+from lerobot_adamanip.hardware.features import recorded_features
 from lerobot_adamanip.recordings.convert import ConvertOptions, convert
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 from lerobot_adamanip.recordings.rows import RowOptions
@@ -95,11 +96,11 @@ def _ticks_alone(root: Path) -> None:
     """As `lerobot-record` writes it without a camera."""
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
-    features = {key: feature for key, feature in dense_features().items() if key in (STATE, ACTION)}
+    features = recorded_features({key: feature for key, feature in dense_features().items() if key in (STATE, ACTION)})
     dataset = LeRobotDataset.create("local/ticks", 50, features, root=root, robot_type="adamanip_franka")
     for seed in (5, 6):
         episode = dense_episode(seed=seed)
-        for row, asked in zip(scalars(episode), episode.asked, strict=True):
-            dataset.add_frame({STATE: row, ACTION: asked, "task": episode.task})
+        for frame in frames(episode, features):
+            dataset.add_frame(frame)
         dataset.save_episode()
     dataset.finalize()

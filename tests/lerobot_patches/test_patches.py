@@ -21,7 +21,8 @@ from lerobot.scripts import lerobot_record
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.contract.control import POSE, STATES
+from lerobot_adamanip.hardware.features import recorded_features
 from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES, support
 
 ORDERS = (
@@ -63,18 +64,22 @@ def said(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 def stock() -> dict[str, Any]:
     return {
         "writer": lerobot_dataset.DatasetWriter,
+        "create": vars(lerobot_dataset.LeRobotDataset)["create"],
         "resume": vars(lerobot_dataset.LeRobotDataset)["resume"],
+        "comparison": lerobot_record.sanity_check_dataset_robot_compatibility,
         "loop": lerobot_record.record_loop,
     }
 
 
 def record(root: Path, episodes: int) -> Any:
     """A recording with our robots' columns that is not finalized."""
-    names = {schema.STATE: SCALAR_NAMES, schema.ACTION: schema.POSE_NAMES}
+    names = {schema.STATE: STATES[POSE], schema.ACTION: schema.POSE_NAMES}
     features = {key: {"dtype": "float32", "shape": (len(each),), "names": list(each)} for key, each in names.items()}
+    features = recorded_features(features)
+    zeros = {key: np.zeros(feature["shape"], feature["dtype"]) for key, feature in features.items()}
     dataset = lerobot_dataset.LeRobotDataset.create("local/recording", 30, features, root=root)
     for _ in range(episodes):
-        dataset.add_frame({key: np.zeros(len(each), np.float32) for key, each in names.items()} | {"task": "open it"})
+        dataset.add_frame({**zeros, "task": "open it"})
         dataset.save_episode()
     return dataset
 

@@ -3,17 +3,30 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.contract.schema import ACTION, POSE_NAMES, STATE, STATE_NAMES
+from lerobot_adamanip import lerobot_patches
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.schema import ACTION, DONE, POSE_NAMES, STATE, STATE_NAMES, SUCCESS
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, save_calibration
-from lerobot_adamanip.hardware.features import CALIBRATIONS, DEPTH_SUFFIX, SCALAR_NAMES, names_of
+from lerobot_adamanip.hardware.dense_kinds import encode_action, state_of
+from lerobot_adamanip.hardware.features import (
+    ARM,
+    CALIBRATIONS,
+    DEPTH_SUFFIX,
+    FORMER_NAMES,
+    INTERVENTION,
+    names_of,
+    recorded_features,
+)
+from lerobot_adamanip.hardware.recorded_rows import recorded_row
 from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode
 
 FPS = 30
@@ -108,9 +121,15 @@ def dense_episode(
     )
 
 
-def scalars(episode: DenseEpisode) -> NDArray[np.float32]:
-    told = np.stack([episode.outcome, episode.stamp, episode.success], axis=1)
+def arm_rows(episode: DenseEpisode) -> NDArray[np.float32]:
+    """Values of the column `ARM`."""
+    told = np.stack([episode.outcome, episode.stamp], axis=1)
     return np.concatenate([episode.state, episode.effort, episode.sent, told], axis=1).astype(np.float32)
+
+
+def former_rows(episode: DenseEpisode) -> NDArray[np.float32]:
+    """States of the former format."""
+    return np.concatenate([arm_rows(episode), episode.success[:, None]], axis=1).astype(np.float32)
 
 
 def depth_at(tick: int) -> NDArray[np.uint16]:
@@ -128,11 +147,14 @@ def calibration() -> CameraCalibration:
     return CameraCalibration("front", Intrinsics(matrix, np.zeros(0), SIZE, SIZE), looks)
 
 
-def dense_features(names: Sequence[str] = SCALAR_NAMES) -> dict[str, dict[str, Any]]:
+def dense_features(
+    state: Sequence[str] = STATES[POSE], action: Sequence[str] = ACTION_NAMES[EE_DELTA]
+) -> dict[str, dict[str, Any]]:
+    """What LeRobot makes of a robot's features."""
     picture = {"dtype": "video", "names": ["height", "width", "channels"]}
     return {
-        STATE: {"dtype": "float32", "shape": (len(names),), "names": list(names)},
-        ACTION: {"dtype": "float32", "shape": (10,), "names": list(POSE_NAMES)},
+        STATE: {"dtype": "float32", "shape": (len(state),), "names": list(state)},
+        ACTION: {"dtype": "float32", "shape": (len(action),), "names": list(action)},
         "observation.images.front": {**picture, "shape": (SIZE, SIZE, 3)},
         f"observation.images.front{DEPTH_SUFFIX}": {
             **picture, "shape": (SIZE, SIZE, 1), "info": {"is_depth_map": True},
@@ -140,14 +162,14 @@ def dense_features(names: Sequence[str] = SCALAR_NAMES) -> dict[str, dict[str, A
     }  # fmt: skip
 
 
-def begun(root: Path, names: Sequence[str] = SCALAR_NAMES, **more: Any) -> Any:
+def begun(root: Path, features: dict[str, Any] | None = None) -> Any:
     from lerobot.configs.video import DepthEncoderConfig, RGBEncoderConfig
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     return LeRobotDataset.create(
         "local/dense",
         FPS,
-        {**dense_features(names), **more},
+        features or recorded_features(dense_features()),
         root=root,
         robot_type="adamanip_franka",
         rgb_encoder=RGBEncoderConfig(vcodec="h264"),
@@ -155,26 +177,48 @@ def begun(root: Path, names: Sequence[str] = SCALAR_NAMES, **more: Any) -> Any:
     )
 
 
-def add(dataset: Any, episode: DenseEpisode) -> None:
-    for tick, values in enumerate(scalars(episode)):
+def reading_at(episode: DenseEpisode, tick: int) -> ArmReading:
+    pose, gripper = pose_from_vector(episode.state[tick, :10])
+    qpos, qvel, stamp = episode.state[tick, 10:17], episode.state[tick, 17:], float(episode.stamp[tick])
+    return ArmReading(stamp, stamp, pose, gripper, qpos, qvel, episode.effort[tick], ArmMode.IDLE)
+
+
+def frames(episode: DenseEpisode, features: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    """Rows as the recorder adds them: in the present format, or in that of rollouts and recordings before it."""
+    for tick, reading in enumerate(reading_at(episode, tick) for tick in range(len(episode))):
         frame = {
-            STATE: values[: len(names_of(dataset.meta.features[STATE]))],
+            STATE: former_rows(episode)[tick][: len(names_of(features[STATE]))],
             ACTION: episode.asked[tick],
             "observation.images.front": np.full((SIZE, SIZE, 3), tick % 250, np.uint8),
             f"observation.images.front{DEPTH_SUFFIX}": depth_at(tick),
             "task": episode.task,
         }
+        if ARM in features:
+            action = encode_action(EE_DELTA, episode.asked[tick], reading)
+            frame |= recorded_row(EE_DELTA, reading, episode.sent[tick], reading.stamp)
+            frame |= {STATE: state_of(POSE, reading), ACTION: np.array(list(action.values()), np.float32)}
+            frame |= {ARM: arm_rows(episode)[tick], SUCCESS: episode.success[tick : tick + 1]}
+            frame[DONE] = np.array([tick == len(episode) - 1])
         if episode.corrected is not None:
-            frame["intervention"] = episode.corrected[tick : tick + 1]
+            frame[INTERVENTION] = episode.corrected[tick : tick + 1]
+        yield {key: value for key, value in frame.items() if key in features or key == "task"}
+
+
+def add(dataset: Any, episode: DenseEpisode) -> None:
+    for frame in frames(episode, dataset.meta.features):
         dataset.add_frame(frame)
 
 
-def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
-    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` does."""
-    if episodes[0].corrected is None:
-        dataset = begun(root)
-    else:
-        dataset = begun(root, STATE_NAMES, intervention={"dtype": "bool", "shape": (1,), "names": None})
+def write_recording(root: Path, *episodes: DenseEpisode, former: bool = False) -> Path:
+    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` did in the former format."""
+    lerobot_patches.restore()  # the formats of before have no column of the recorder
+    features = None
+    if episodes[0].corrected is not None:
+        taken_over = {"dtype": "bool", "shape": (1,), "names": None}
+        features = {**dense_features(STATE_NAMES, POSE_NAMES), INTERVENTION: taken_over}
+    elif former:
+        features = dense_features(FORMER_NAMES, POSE_NAMES)
+    dataset = begun(root, features)
     for episode in episodes:
         add(dataset, episode)
         dataset.save_episode(parallel_encoding=False)

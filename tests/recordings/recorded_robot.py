@@ -16,9 +16,11 @@ from lerobot.robots import Robot, RobotConfig
 from lerobot.teleoperators import Teleoperator, TeleoperatorConfig
 
 from lerobot_adamanip import lerobot_patches
-from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
-from lerobot_adamanip.contract.schema import POSE_NAMES
-from lerobot_adamanip.hardware.features import SCALAR_NAMES
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
+from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
+from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
+from lerobot_adamanip.hardware.dense_kinds import decode_action, encode_action
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 
 __path__: list[str] = []  # LeRobot imports plugins as packages
 SAVED = "RECORDED_ROBOT_SAVED"
@@ -33,7 +35,7 @@ def goal_at(tick: int) -> np.ndarray[Any, np.dtype[np.float32]]:
 class Device:
     """What LeRobot asks of robots and teleoperators alike."""
 
-    action_features = dict.fromkeys(POSE_NAMES, float)
+    action_features = dict.fromkeys(ACTION_NAMES[EE_DELTA], float)
     is_calibrated, is_connected, tick = True, False, 0
 
     def connect(self, calibrate: bool = True) -> None:
@@ -55,25 +57,28 @@ class RecordedRobotConfig(RobotConfig):
 
 class RecordedRobot(Device, Robot):
     config_class, name = RecordedRobotConfig, "recorded_robot"
-    observation_features: ClassVar[dict[str, Any]] = dict.fromkeys(SCALAR_NAMES, float)
+    observation_features: ClassVar[dict[str, Any]] = dict.fromkeys(STATES[POSE], float)
     observation_features |= {"front": (SIZE, SIZE, 3), "front_depth": (SIZE, SIZE, 1)}
     cameras = dict.fromkeys(["front"])
-    sent = goal_at(0)
+
+    def connect(self, calibrate: bool = True) -> None:
+        super().connect()
+        self.session = ROBOTS.open(self.name)
+        self.session.action, self.session.state = EE_DELTA, POSE
 
     def get_observation(self) -> dict[str, Any]:
-        values = np.zeros(len(SCALAR_NAMES))
-        values[:10] = goal_at(self.tick - 2)
-        values[list(SCALAR_NAMES).index("sent.ee.x") :][:10] = self.sent
-        values[list(SCALAR_NAMES).index("arm.stamp")] = self.tick / 30.0
+        pose, gripper = pose_from_vector(goal_at(self.tick - 2))
+        seven = np.zeros(7)
+        reading = ArmReading(0.0, 0.0, pose, gripper, seven, seven, seven, ArmMode.IDLE)
         shade = np.full((SIZE, SIZE, 3), self.tick % 200, np.uint8)
         depth = np.full((SIZE, SIZE, 1), 600 + self.tick % 200, np.uint16)
-        named = dict(zip(SCALAR_NAMES, values.tolist(), strict=True))
-        return {**named, "front": shade, "front_depth": depth}
+        return {**self.session.observe(reading, self.tick / 30.0), "front": shade, "front_depth": depth}
 
     def send_action(self, action: dict[str, Any]) -> dict[str, Any]:
         self.tick += 1
-        self.sent = np.array([action[name] for name in POSE_NAMES], np.float32)
-        return action
+        reading = self.session.reading
+        assert reading is not None
+        return self.session.act(decode_action(action, reading, EE_DELTA), reading)
 
 
 @TeleoperatorConfig.register_subclass("recorded_teleop")
@@ -88,7 +93,10 @@ class RecordedTeleop(Device, Teleoperator):
 
     def get_action(self) -> dict[str, Any]:
         self.tick += 1
-        return dict(zip(POSE_NAMES, goal_at(self.tick).tolist(), strict=True))
+        session = ROBOTS.find()
+        assert session is not None
+        assert session.reading is not None
+        return encode_action(EE_DELTA, goal_at(self.tick), session.reading)
 
     def send_feedback(self, feedback: dict[str, Any]) -> None: ...
 

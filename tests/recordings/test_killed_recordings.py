@@ -22,9 +22,10 @@ from recorded_robot import SAVED
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import POSE, STATES
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.hardware.features import SCALAR_NAMES, is_dense
+from lerobot_adamanip.hardware.features import ARM, is_dense, recorded_features
 from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
@@ -128,7 +129,8 @@ def require_readable(root: Path, saved: list[tuple[int, int]]) -> int:
             assert int(item["episode_index"]) == number
             assert int(item["frame_index"]) == row - first
             shade = float(item["observation.images.front"].mean()) * 255.0
-            tick = float(item["observation.state"][-2]) * 30.0
+            tick = float(item[ARM][-1]) * 30.0
+            assert bool(item[schema.DONE]) == (row == first + rows - 1)
             assert abs(shade - tick % 200) < 4.0
             assert abs(float(item["observation.images.front_depth"].mean()) - (600 + tick % 200)) < 3.0
     assert len(dataset) == sum(lengths)
@@ -210,15 +212,16 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
 ) -> None:
     root = tmp_path / "dense"
     features = {
-        schema.STATE: {"dtype": "float32", "shape": (len(SCALAR_NAMES),), "names": list(SCALAR_NAMES)},
+        schema.STATE: {"dtype": "float32", "shape": (len(STATES[POSE]),), "names": list(STATES[POSE])},
         schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
     }
+    features = recorded_features(features)
     dataset = LeRobotDataset.create("local/dense", 30, features, root=root)
     written: list[Path] = []
     write = files.write_atomically
     monkeypatch.setattr(files, "write_atomically", lambda path, content: (written.append(path), write(path, content)))
     for task in ("open it", "close it"):
-        values = {key: np.zeros(feature["shape"], np.float32) for key, feature in features.items()}
+        values = {key: np.zeros(feature["shape"], feature["dtype"]) for key, feature in features.items()}
         dataset.add_frame({**values, "task": task})
         dataset.save_episode()
     assert written.count(root / "meta" / "tasks.parquet") == 2

@@ -12,19 +12,20 @@ from typing import Any
 import numpy as np
 import pytest
 
-from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
+from lerobot_adamanip.contract.cameras import CAMERAS, PIXEL_CONVENTION
+from lerobot_adamanip.contract.control import POSE, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
-from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.contract.schema import POSE_NAMES, SUCCESS
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmStatus, Execution, ServerOptions
 from lerobot_adamanip.hardware.camera_frames import Frame
-from lerobot_adamanip.hardware.features import LABEL_NAME, STAMP_NAME
+from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, STAMP_NAME
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, ROBOTS
 from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
+from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig, AdamanipTwinConfig
 from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 from lerobot_env_adamanip.twin.process import SUCCESS_BOX
 
@@ -45,7 +46,7 @@ class FakeProcess:
         pose = transform((0.5, 0.0, 0.7))
         self.reading = ArmReading(0.0, 0.0, pose, 1.0, seven, seven, seven, ArmMode.IDLE, outcome=Outcome.REACHED)
         self.asked: list[tuple[str, dict[str, Any]]] = []
-        self.is_connected, self.success, self.looks = False, False, 0
+        self.is_connected, self.success, self.looks, self.with_depth = False, False, 0, False
 
     def connect(self) -> dict[str, Any]:
         self.is_connected = True
@@ -76,7 +77,8 @@ class FakeProcess:
     def request(self, ask: str, values: dict[str, Any] | None = None, *, time_limit: float = 10.0) -> dict[str, Any]:
         self.asked.append((ask, dict(values or {})))
         if ask == "look":
-            self.looks += 1
+            assert values is not None
+            self.looks, self.with_depth = self.looks + 1, values["depth"]
         if ask == "reset":
             self.success = False
         return self.told((values or {}).get("seed", 0)) if ask == "reset" else {"success": self.success}
@@ -85,7 +87,8 @@ class FakeProcess:
         if name == SUCCESS_BOX:
             return 1, self.success
         color = np.full((16, 16, 3), self.looks, np.uint8)
-        return self.looks, Frame(0.0, 0.0, color, color[..., 0].astype(np.uint16), self.looks)
+        depth = color[..., 0].astype(np.uint16) if self.with_depth else None
+        return self.looks, Frame(0.0, 0.0, color, depth, self.looks)
 
     @property
     def resets(self) -> list[int]:
@@ -118,10 +121,24 @@ def action(robot: AdamanipFrankaSim, dx: float = 0.0) -> dict[str, float]:
     return {name: seen[name] + (dx if name == "ee.x.pos" else 0.0) for name in POSE_NAMES}
 
 
-def test_it_brings_its_camera_and_tells_features_before_it_is_connected() -> None:
+def recorded(robot: AdamanipFrankaSim) -> dict[str, float]:
+    """What the recorder stores of the present observation, and success after the latest action."""
+    seen = robot.get_observation()
+    row = robot.session.rows.find(np.array([seen[name] for name in STATES[robot.interface.state]], np.float32))
+    return {**dict(zip(ARM_NAMES, row[ARM].tolist(), strict=True)), SUCCESS: bool(row[SUCCESS][0])}
+
+
+def test_it_brings_its_cameras_and_tells_features_before_it_is_connected() -> None:
     robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(image_size=48))
-    assert robot.observation_features["front"] == (48, 48, 3)
+    pictures = {name: shape for name, shape in robot.observation_features.items() if shape is not float}
+    assert pictures == dict.fromkeys(CAMERAS, (48, 48, 3))
+    robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(image_size=48, depth=True))
     assert robot.observation_features["front_depth"] == (48, 48, 1)
+    robot = AdamanipFrankaSim(AdamanipFrankaSimConfig(execution="keyframe"))
+    pictures = {name: shape for name, shape in robot.observation_features.items() if shape is not float}
+    assert pictures == {"front": (256, 256, 3), "front_depth": (256, 256, 1)}
+    with pytest.raises(AdaManipError, match="camera of the twin"):
+        AdamanipFrankaSimConfig(cameras={"side": AdamanipTwinConfig()})
     assert "front" not in AdamanipFrankaSim(AdamanipFrankaSimConfig(camera=False)).observation_features
     assert isinstance(robot, EpisodicRobot)
 
@@ -148,29 +165,37 @@ def test_an_episode_has_the_seed_of_its_number_whatever_came_between(make: Any, 
 
 
 def test_lockstep_tells_time_by_steps_and_looks_once_a_step(make: Any, process: FakeProcess) -> None:
-    robot = make()
+    robot = make(cameras={"front": AdamanipTwinConfig(use_depth=True)}, depth=True)
     before = process.looks
     stamps = []
     for number in range(4):
         seen = robot.get_observation()
         robot.get_observation()  # nothing has moved
         assert seen["front"][0, 0, 0] == seen["front_depth"][0, 0, 0] == process.looks
-        stamps.append(seen[STAMP_NAME])
+        stamps.append(recorded(robot)[STAMP_NAME])
         robot.send_action(action(robot, 0.001 * number))
     np.testing.assert_allclose(np.diff(stamps), 1 / 30, atol=1e-9)
     assert process.looks - before <= 4
 
 
-def test_success_is_a_label_of_the_twin_or_the_operator(make: Any, process: FakeProcess) -> None:
+def test_success_after_an_action_is_a_label_of_the_twin_or_the_operator(make: Any, process: FakeProcess) -> None:
     robot = make()
-    assert robot.get_observation()[LABEL_NAME] == 0.0
+
+    def success() -> bool:
+        """Whether the row of an observation and the action after it is one of success."""
+        seen = robot.get_observation()
+        robot.send_action({name: seen[name] for name in POSE_NAMES})
+        state = np.array([seen[name] for name in STATES[POSE]], np.float32)
+        return bool(robot.session.rows.find(state)[SUCCESS][0])
+
+    assert not success()
     process.success = True
-    assert robot.get_observation()[LABEL_NAME] == 1.0
+    assert success()
     process.success = False
     robot.session.details[OPERATOR_SUCCESS] = True
-    assert robot.get_observation()[LABEL_NAME] == 1.0
+    assert success()
     robot.put_up(1001)
-    assert robot.get_observation()[LABEL_NAME] == 0.0
+    assert not success()
 
 
 def test_the_operators_key_puts_the_scene_up_anew(make: Any, process: FakeProcess) -> None:

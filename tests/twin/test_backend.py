@@ -5,23 +5,27 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
+from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.cameras import Cameras, Pair
 from lerobot_env_adamanip.sim.twin import TICK, SapienBackend
-from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions, frame_capacity
+from lerobot_env_adamanip.twin.process import SUCCESS_BOX, TwinOptions, frame_capacity
 
 pytestmark = pytest.mark.sim
 SEED, SIZE = 1000, 64
+LOOK = {"camera": FRONT, "depth": True}
 LOCKED = EnvironmentOptions(
     category="microwave", image_size=SIZE, observe_images=False, hidden_overrides={"locked": True}
 )
@@ -29,7 +33,7 @@ LOCKED = EnvironmentOptions(
 
 @pytest.fixture(scope="module")
 def boxes() -> Iterator[Any]:
-    capacities = {FRONT_FRAMES: frame_capacity(SIZE), SUCCESS_BOX: 64}
+    capacities = {**dict.fromkeys(CAMERAS, frame_capacity(SIZE)), SUCCESS_BOX: 64}
     memory = create_memory(capacities)
     yield map_mailboxes(memory, capacities)
     os.close(memory)
@@ -136,8 +140,8 @@ def test_a_pull_at_a_locked_door_stalls_under_bounded_strain(twin: SapienBackend
 
 def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, boxes: Any) -> None:
     twin.reset({"seed": SEED})
-    number = twin.look({})["number"]
-    found = boxes[FRONT_FRAMES].read()
+    number = twin.look(LOOK)["number"]
+    found = boxes[FRONT].read()
     assert found is not None
     frame = found[1]
     assert frame.number == number
@@ -148,6 +152,25 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
     assert both.mean() > 0.2
     apart = np.abs(frame.depth.astype(int) - depth.astype(int))[both]
     assert np.percentile(apart, 90) <= 1
+
+
+@pytest.mark.parametrize("name", CAMERAS)
+def test_each_camera_shows_the_picture_of_demonstrations(
+    twin: SapienBackend, boxes: Any, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(twin, "_options", replace(twin._options, image_source="raycast"))
+    twin.reset({"seed": SEED})
+    twin.look({"camera": name, "depth": False})
+    seen = boxes[name].read()
+    assert seen is not None
+    np.testing.assert_array_equal(seen[1].color, twin.env.episode.task.cameras.raycast_image(name))
+    assert seen[1].depth is None
+
+
+@pytest.mark.parametrize("wrong", [{}, {"camera": "side", "depth": False}, {"camera": SUCCESS_BOX, "depth": False}])
+def test_a_camera_that_is_not_there_is_refused(twin: SapienBackend, wrong: dict[str, Any]) -> None:
+    with pytest.raises(RobotError, match="without a camera"):
+        twin.look(wrong)
 
 
 def test_a_picture_is_as_old_as_its_own_making(
@@ -163,8 +186,8 @@ def test_a_picture_is_as_old_as_its_own_making(
     for moment in (SEED, SEED + 1):
         twin.reset({"seed": moment})
         for _ in range(2):
-            twin.look({})
-            found = boxes[FRONT_FRAMES].read()
+            twin.look(LOOK)
+            found = boxes[FRONT].read()
             assert found is not None
             before, last = begun[-2:]
             assert before < found[1].stamp <= last

@@ -14,12 +14,18 @@ from typing import Any
 import numpy as np
 import pytest
 from check_twin_session import accepted_targets, lines_of, mixed_training
+from lerobot.utils.constants import DEFAULT_FEATURES
 
+from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
+from lerobot_adamanip.contract.dense_codec import pose_of_delta
+from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
-from lerobot_adamanip.hardware.features import LABEL_NAME, SCALAR_NAMES, SENT_NAMES, STAMP_NAME
+from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES, STAMP_NAME
+from lerobot_env_adamanip.dense_env import DenseEnv
 
 ROOT = Path(__file__).resolve().parents[2]
-SEED, FPS = 1000, 30
+SEED, FPS, SIZE = 1000, 10, 64
 TICK = 0.02
 """One control tick of the simulation [s]."""
 TWIN = ("--robot.type=adamanip_franka_sim", "--robot.id=twin", "--robot.category=microwave", "--robot.clock=lockstep")
@@ -34,8 +40,13 @@ def lerobot(name: str, *arguments: str) -> None:
 
 
 def record(root: Path, *options: str) -> Path:
-    robot = (*TWIN, f"--robot.seed={SEED}", "--robot.image_size=64", "--teleop.type=adamanip_scripted")
-    data = ("--dataset.repo_id=local/twin", f"--dataset.root={root}", "--dataset.num_episodes=1")
+    robot = (*TWIN, f"--robot.seed={SEED}", f"--robot.image_size={SIZE}", "--teleop.type=adamanip_scripted")
+    data = (
+        "--dataset.repo_id=local/twin",
+        f"--dataset.root={root}",
+        "--dataset.num_episodes=1",
+        f"--dataset.fps={FPS}",
+    )
     rest = ("--dataset.reset_time_s=0", "--dataset.single_task=Open the microwave.", "--dataset.push_to_hub=false")
     lerobot("record", *robot, *data, *rest, *options)
     return root
@@ -53,7 +64,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     root = tmp_path_factory.mktemp("twin") / "recorded"
     for resume, locked in (("false", "false"), ("true", "true")):
         hidden = f"--robot.hidden={{locked: {locked}}}"
-        record(root, "--dataset.episode_time_s=3600", hidden, f"--resume={resume}")
+        record(root, "--dataset.episode_time_s=3600", hidden, "--robot.depth=true", f"--resume={resume}")
     return root
 
 
@@ -72,31 +83,56 @@ def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> N
     assert [line["success"] for line in log] == [True, True]
 
 
-def test_what_is_recorded_is_the_contract_and_nothing_hidden(short: Path) -> None:
+def test_a_second_of_the_twin_has_the_columns_of_simulated_demonstrations(short: Path) -> None:
     info = json.loads((short / "meta" / "info.json").read_text(encoding="utf-8"))
     assert info["total_episodes"] == 1
+    assert info["fps"] == FPS
     assert info["robot_type"] == "adamanip_franka_sim"
-    assert info["features"]["observation.state"]["names"] == list(SCALAR_NAMES)
-    assert info["features"]["action"]["names"] == list(POSE_NAMES)
-    assert {"observation.images.front", "observation.images.front_depth"} <= info["features"].keys()
-    hidden = ("locked", "hidden", "latch", "seed", "object_joint")
-    assert not [name for name in (*SCALAR_NAMES, *info["features"]) if any(word in name for word in hidden)]
+    simulated = schema.dense_features(ACTION_NAMES[EE_DELTA], STATES[POSE], image_size=SIZE)
+
+    def described(features: Any) -> dict[str, Any]:
+        """Type, shape and names of each column, without LeRobot's own."""
+        kept = {key: feature for key, feature in features.items() if key not in DEFAULT_FEATURES}
+        return {key: [feature["dtype"], list(feature["shape"]), feature["names"]] for key, feature in kept.items()}
+
+    columns = described(info["features"])
+    assert columns.pop(ARM) == ["float32", [len(ARM_NAMES)], list(ARM_NAMES)]  # which no policy reads
+    assert columns == described(simulated)
+    hidden = ("locked", "hidden", "latch", "seed", "success", "stamp", "outcome", "clock")
+    read = [name for key in ("observation.state", "action") for name in info["features"][key]["names"]]
+    assert not [name for name in read if any(word in name for word in hidden)]
+
+
+def test_a_second_of_the_twin_has_the_units_of_simulated_demonstrations(short: Path) -> None:
+    """Positions in metres, rotation vectors around the same reference, fingers in metres, deltas in their unit."""
+    env = DenseEnv("microwave", observe_images=False)
+    try:
+        seen, _ = env.reset(seed=SEED)
+        forth = env.action_toward(env.feedback.tcp_in_base, 1.0)
+    finally:
+        env.close()
+    first = rows(short).iloc[0]
+    np.testing.assert_allclose(first["observation.state"], seen["agent_pos"], atol=1e-5)
+    np.testing.assert_allclose(first["action"], forth, atol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["short", pytest.param("recorded", marks=pytest.mark.nightly)])
 def test_what_was_asked_is_what_was_sent_and_time_is_steps(name: str, request: pytest.FixtureRequest) -> None:
     for _, episode in rows(request.getfixturevalue(name)).groupby("episode_index"):
         assert len(episode) > 2  # how many rows two seconds give is the machine's to say
-        states, actions = np.stack(episode["observation.state"].to_numpy()), np.stack(episode["action"].to_numpy())
-        sent = states[:, [SCALAR_NAMES.index(name) for name in SENT_NAMES]]
-        stamps, done = (states[:, SCALAR_NAMES.index(name)] for name in (STAMP_NAME, LABEL_NAME))
-        # What the arm accepted stands in the next row.
-        np.testing.assert_array_equal(sent[1:], actions[:-1].astype(np.float32))
+        states, actions, arm = (np.stack(episode[key].to_numpy()) for key in ("observation.state", "action", ARM))
+        sent = arm[:, [ARM_NAMES.index(name) for name in SENT_NAMES]]
+        stamps, success = arm[:, ARM_NAMES.index(STAMP_NAME)], episode[schema.SUCCESS].to_numpy()
+        np.testing.assert_allclose(np.stack(episode[schema.EXECUTED].to_numpy()), actions, atol=1e-5)
+        for state, action, accepted in zip(states, actions, sent[1:], strict=False):
+            pose = transform(state[:3].astype(float), matrix_from_rotation_vector(state[3:6].astype(float)))
+            np.testing.assert_allclose(pose_of_delta(action, pose), accepted, atol=1e-5)
         # A step is whole control ticks; it is 1 / FPS to within one of them, and none is lost.
         np.testing.assert_allclose(stamps - stamps[0], np.arange(len(stamps)) / FPS, atol=TICK + 1e-3)
-        assert np.diff(stamps).max() < 2 * TICK + 0.005
-        assert done[0] == 0.0
-        assert done[-1] == (name == "recorded")  # it is opened
+        assert np.diff(stamps).max() < 1 / FPS + TICK + 0.005
+        assert not success[0]
+        assert success[-1] == (name == "recorded")  # it is opened
+        assert episode[schema.DONE].to_numpy().tolist() == [False] * (len(episode) - 1) + [True]
 
 
 @pytest.mark.nightly

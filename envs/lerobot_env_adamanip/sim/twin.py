@@ -8,14 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
+from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.hardware.arm import RESET, ArmMode, ArmReading, ArmTarget, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.sim.cameras import Pair
-from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TwinOptions
+from lerobot_env_adamanip.twin.process import SUCCESS_BOX, TwinOptions
 
 TICK = 0.02
 """One control tick of the simulation [s]."""
@@ -37,12 +38,13 @@ class SapienBackend:
 
     def __init__(self, options: TwinOptions, boxes: Mapping[str, Mailbox] | None = None) -> None:
         self._options, self._boxes = options, boxes or {}
-        self.env = KeyframeEnv(options=options.environment.changed(observe_images=False))
+        self.env = KeyframeEnv(options=options.environment.changed(control=KEYFRAME, observe_images=False))
         self._motion: Generator[None] | None = None
         self._outcome: Outcome | None = None
         self._time, self._ticked = 0.0, time.perf_counter()
         self._success, self._frames, self._seed = False, 0, options.seed
-        self._connected = self._streaming = self._camera_is_ready = False
+        self._connected = self._streaming = False
+        self._ready: dict[str, bool] = {}
 
     # Connection ------------------------------------------------------------------------------------------------------
 
@@ -142,11 +144,10 @@ class SapienBackend:
             raise ValueError(f"seed is {seed!r}, not a whole number, 0 ... 2147483647")
         self._abort()
         self.env.reset(seed=seed)
-        self._outcome, self._streaming, self._camera_is_ready = None, False, False
-        self._seed = seed
+        self._outcome, self._streaming, self._seed = None, False, seed
         self._publish_success(False)
-        if self._frames:  # pictures were requested, and will be again
-            self._prepare_camera()
+        for name, with_depth in self._ready.items():  # pictures were requested, and will be again
+            self._picture(name, with_depth)
         self._ticked = time.perf_counter()
         return self.describe()
 
@@ -163,25 +164,28 @@ class SapienBackend:
             "camera": env.camera_parameters(),
         }
 
-    def look(self, _: dict[str, Any]) -> dict[str, Any]:
-        """Puts a picture into the mailbox of frames and returns its number."""
-        if FRONT_FRAMES not in self._boxes:
-            raise RobotError("The twin was started without a camera.")
-        self._prepare_camera()
-        taken = time.perf_counter()
-        color, depth = self._color_and_depth()
+    def look(self, values: dict[str, Any]) -> dict[str, Any]:
+        """Puts a picture of ``camera``, with ``depth`` or without, into its mailbox and returns its number."""
+        name, with_depth = values.get("camera"), values.get("depth")
+        if name not in CAMERAS or name not in self._boxes or not isinstance(with_depth, bool):
+            raise RobotError(f"The twin was started without a camera {name!r:.40}.")
+        if with_depth and name != FRONT:
+            raise RobotError(f"The twin's camera {name} has no depth.", got="use_depth=true", allowed=f"only {FRONT}")
+        if name not in self._ready:  # a scene's first picture takes ten times as long and would count as stale
+            self._picture(name, with_depth)
+            self._ready[name] = with_depth
+        stamp = time.perf_counter()
+        color, depth = self._picture(name, with_depth)
         self._frames += 1
-        self._boxes[FRONT_FRAMES].write(Frame(taken, taken, color, depth, self._frames))
+        self._boxes[name].write(Frame(stamp, stamp, color, depth, self._frames))
         return {"number": self._frames}
 
-    def _prepare_camera(self) -> None:
-        """Takes a scene's first picture, which takes ten times as long as later ones and would count as stale."""
-        if not self._camera_is_ready:
-            self._color_and_depth()
-            self._camera_is_ready = True
-
-    def _color_and_depth(self) -> Pair:
-        return self.env.episode.task.cameras.color_and_depth(self._options.depth_source)
+    def _picture(self, name: str, with_depth: bool) -> tuple[Any, Any]:
+        cameras = self.env.episode.task.cameras
+        if with_depth:
+            return cameras.color_and_depth(self._options.image_source)
+        is_rendered = self._options.image_source == "render"
+        return cameras.image(name) if is_rendered else cameras.raycast_image(name), None
 
     def episode(self, _: dict[str, Any]) -> dict[str, Any]:
         """Returns the episode's state with hidden values. For logs only, never for features."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -9,6 +10,8 @@ from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 from lerobot.teleoperators.config import TeleoperatorConfig
 
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
+from lerobot_adamanip.contract.control import DENSE, KEYFRAME
 from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
@@ -16,15 +19,12 @@ from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConf
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice, shown_by_parsers
 
 CLOCKS = ("realtime", "lockstep")
-DEPTH_SOURCES = ("render", "raycast")
-FRONT = "front"
-"""Key of the twin's only camera."""
 
 
 @CameraConfig.register_subclass("adamanip_twin")
 @dataclass(kw_only=True)
 class AdamanipTwinConfig(CameraConfig):
-    """Front camera of the twin's scene, with colour and depth of one moment. The robot sets its size.
+    """A camera of the twin's scene, named by its key in ``--robot.cameras``: front or wrist. The robot sets its size.
 
     ``fps`` is its rate in real time (default 10: a picture takes about 50 ms of CPU time). In lockstep it takes one
     picture per observation. ``width`` and ``height`` must be the twin's, if set.
@@ -33,8 +33,8 @@ class AdamanipTwinConfig(CameraConfig):
     use_rgb: bool = True
     """Whether frames have colour."""
 
-    use_depth: bool = True
-    """Whether frames have depth."""
+    use_depth: bool = False
+    """Whether frames have depth, of the same moment. Only the front camera can."""
 
 
 @TeleoperatorConfig.register_subclass("adamanip_scripted")
@@ -96,20 +96,21 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     clock: str = "realtime"
     """Clock. realtime: the machine's clock. lockstep: each action advances 1/fps, with equal data on every machine."""
 
-    fps: float = 30.0
-    """Rate of the command's loop [Hz], for lockstep: one step takes 1/fps."""
+    fps: float | None = None
+    """Rate of the loop [Hz], for lockstep: one step takes 1/fps. Default: that of LeRobot's command."""
 
     camera: bool = True
-    """Whether the twin has a camera. Without one nothing is rendered."""
+    """Whether the twin has cameras: those of the command's policy, else all. Without them nothing is rendered."""
 
     camera_hz: int = 10
-    """Rate of the camera in real time [Hz]."""
+    """Rate of each camera in real time [Hz]."""
 
-    image_size: int = IMAGE_SIZE
-    """Side length of the camera's pictures [px]."""
+    image_size: int | None = None
+    """Side length of the cameras' pictures [px]. Default: that of the command's policy, else 256."""
 
-    depth_source: str = "render"
-    """Source of depth: render, or raycast for machines without a Vulkan device. raycast has no colours."""
+    image_source: str | None = None
+    """Source of pictures: raycast, or render with a Vulkan device. Default: that of the simulated demonstrations,
+    raycast in stream mode and render in key frames."""
 
     render_backend: str = "auto"
     """Device of the renderer: auto, cuda or cpu."""
@@ -143,25 +144,48 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
 
     def __post_init__(self) -> None:
         """Raises `AdaManipError` for an invalid option."""
-        if self.camera and not self.cameras:
-            self.cameras = {FRONT: AdamanipTwinConfig()}
-        for camera in self.cameras.values():
-            if isinstance(camera, AdamanipTwinConfig):
-                camera.width, camera.height = camera.width or self.image_size, camera.height or self.image_size
-                camera.fps = camera.fps or self.camera_hz
+        if self.cameras:
+            self.image_size = self.image_size or IMAGE_SIZE
+            self._complete_cameras()
         super().__post_init__()
         with shown_by_parsers():
             require_choice("clock", self.clock, CLOCKS, hint="--robot.clock=lockstep")
-            require_choice("source of depth", self.depth_source, DEPTH_SOURCES, hint="--robot.depth_source=raycast")
-            if not 0 <= self.seed < 2**31 or not 1 <= self.fps <= 1000:
+            for name, camera in self.cameras.items():
+                if isinstance(camera, AdamanipTwinConfig):
+                    require_choice("camera of the twin", name, CAMERAS)
+            if not 0 <= self.seed < 2**31 or not 1 <= (self.fps or 1) <= 1000:
                 raise ConfigurationError(
                     "Wrong seed or rate.", got=f"seed {self.seed}, fps {self.fps}", allowed="seed >= 0, fps 1 ... 1000"
                 )
             self.environment()
 
+    def set_cameras(self, *, depth: bool, images: Mapping[str, tuple[int, ...]]) -> None:
+        """Sets the cameras and the size of pictures, unless there are any.
+
+        Args:
+            depth: whether the front camera has depth.
+            images: column -> (C, H, W) of the images that a policy reads.
+        """
+        views = {name: images[image_column(name)] for name in CAMERAS if image_column(name) in images}
+        self.image_size = self.image_size or next((shape[-1] for shape in views.values()), IMAGE_SIZE)
+        if self.camera and not self.cameras:
+            names = (
+                dict.fromkeys([*views, *([FRONT] if depth else [])]) if views else self.environment().observed_cameras
+            )
+            self.cameras = {name: AdamanipTwinConfig(use_depth=depth and name == FRONT) for name in names}
+            self._complete_cameras()
+
+    def _complete_cameras(self) -> None:
+        for camera in self.cameras.values():
+            if isinstance(camera, AdamanipTwinConfig):
+                camera.width, camera.height = camera.width or self.image_size, camera.height or self.image_size
+                camera.fps = camera.fps or self.camera_hz
+
     def environment(self) -> EnvironmentOptions:
         """Returns the options of the scenes. Raises `ConfigurationError`."""
         return EnvironmentOptions(
+            control=KEYFRAME if self.execution == KEYFRAME else DENSE,
+            image_source=self.image_source,
             category=self.category,
             objects=self.objects,
             assets=self.assets,
@@ -169,7 +193,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
             hidden_overrides=self.hidden,
-            image_size=self.image_size,
+            image_size=self.image_size or IMAGE_SIZE,
             render_backend=self.render_backend,
             observe_images=False,
         )

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
+from lerobot_adamanip.hardware.adamanip_franka.interface import command_rate, interface_of
 from lerobot_adamanip.hardware.arm import RESET, ArmReading
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.camera_frames import simulated_calibration
@@ -18,7 +18,7 @@ from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WAN
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.util import files
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
-from lerobot_env_adamanip.twin.process import FRONT_FRAMES, SUCCESS_BOX, TWIN, TwinOptions, frame_capacity
+from lerobot_env_adamanip.twin.process import SUCCESS_BOX, TWIN, TwinOptions, frame_capacity
 from lerobot_env_adamanip.twin.twin_camera import AdamanipTwin
 
 START_TIME, RESET_TIME = 600.0, 300.0
@@ -33,6 +33,8 @@ class AdamanipFrankaSim(AdamanipFranka):
     config: AdamanipFrankaSimConfig
 
     def __init__(self, config: AdamanipFrankaSimConfig) -> None:
+        interface = interface_of(config)
+        config.set_cameras(depth=interface.depth, images=interface.images)
         super().__init__(config)
         self._stands_at(config.seed)
 
@@ -52,30 +54,32 @@ class AdamanipFrankaSim(AdamanipFranka):
         """Does nothing: there is nothing to calibrate."""
 
     def _make_client(self) -> ArmClient:
-        config = self.config
+        config, environment = self.config, self.config.environment()
         lockstep = config.clock == "lockstep"
         return ArmClient(
             TWIN,
-            TwinOptions(config.environment(), config.seed, config.depth_source, lockstep),
-            server=self._server_options(config.fps if lockstep else None),
-            frames={FRONT_FRAMES: frame_capacity(config.image_size), SUCCESS_BOX: 64},
+            TwinOptions(environment, config.seed, environment.images_from, lockstep),
+            server=self._server_options(command_rate(config) if lockstep else None),
+            frames={**dict.fromkeys(self._twin_cameras, frame_capacity(environment.image_size)), SUCCESS_BOX: 64},
             connect_time=START_TIME,
         )
+
+    @property
+    def _twin_cameras(self) -> dict[str, AdamanipTwin]:
+        return {name: camera for name, camera in self.cameras.items() if isinstance(camera, AdamanipTwin)}
 
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         super()._open_session(limits, details)
         self._stands_at(self.config.seed)
         self._calibrated(details)
         assert self._client is not None
-        for camera in self.cameras.values():
-            if isinstance(camera, AdamanipTwin):
-                camera.attach(self._client, size=self.config.image_size, lockstep=self.config.clock == "lockstep")
+        size, lockstep = self.config.environment().image_size, self.config.clock == "lockstep"
+        for name, camera in self._twin_cameras.items():
+            camera.attach(self._client, name, size=size, lockstep=lockstep)
 
     def _calibrated(self, details: dict[str, Any]) -> None:
-        calibration = simulated_calibration(details["camera"], "twin")
-        for key, camera in self.cameras.items():
-            if isinstance(camera, AdamanipTwin):
-                self._session.calibrations[key] = calibration
+        if FRONT in self._twin_cameras:
+            self._session.calibrations[FRONT] = simulated_calibration(details["camera"], "twin")
 
     def _read_calibrations(self) -> None:
         """Does nothing: the twin process provides the calibration."""
@@ -98,26 +102,25 @@ class AdamanipFrankaSim(AdamanipFranka):
             self._session.episodes += 1
         return super().get_observation()
 
-    def _scalars(self, reading: ArmReading) -> dict[str, float]:
+    def _stamp(self, reading: ArmReading) -> float:
+        # in lockstep, equal steps give equal data
+        return reading.robot_time if self.config.clock == "lockstep" else super()._stamp(reading)
+
+    def _measure_success(self) -> None:
         self._session.details[SUCCESS] = self._succeeded()
-        if self.config.clock == "lockstep":  # so that equal steps give equal data
-            reading = replace(reading, stamp=self._connected_at + reading.robot_time)
-        return super()._scalars(reading)
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Sends an action. After the end of a key-frame episode it has no effect, see ``max_key_frames``."""
         if self._over:
-            sent = self._session.sent
-            assert sent is not None
-            return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
+            return action
         self._moved = True
-        sent_by_name: dict[str, float] = super().send_action(action)
+        sent: dict[str, float] = super().send_action(action)
         if self.config.execution == "keyframe":
             self._key_frames += 1
             self._over = self._succeeded() or self._key_frames >= self.config.max_key_frames
             if self._over and self.config.end_when_done:
                 signal.raise_signal(signal.SIGINT)
-        return sent_by_name
+        return sent
 
     def _succeeded(self) -> bool:
         assert self._client is not None

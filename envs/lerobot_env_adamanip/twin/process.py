@@ -10,10 +10,8 @@ from lerobot_adamanip.hardware.arm_process.mailbox import message
 from lerobot_adamanip.objects.base import Motion, PartAnnotation
 
 TWIN = "lerobot_env_adamanip.sim.twin:serve_twin"
-FRONT_FRAMES = "front"
-"""Mailbox of the front camera's `Frame`s."""
 SUCCESS_BOX = "success"
-"""Mailbox of a boolean: whether the task is done."""
+"""Mailbox of a boolean: whether the task is done. Each camera has a mailbox of its name with its `Frame`s."""
 for kind in (EnvironmentOptions, Workspace, PartAnnotation, Motion):
     message(kind)
 
@@ -26,13 +24,13 @@ class TwinOptions:
     Attributes:
         environment: options of the scenes.
         seed: seed of the first episode.
-        depth_source: ``render``, or ``raycast`` without colours.
+        image_source: of colour and depth, see `lerobot_adamanip.episode.options.IMAGE_SOURCES`.
         lockstep: whether only steps advance time; else ticks follow the machine's clock.
     """
 
     environment: EnvironmentOptions
     seed: int = 0
-    depth_source: str = "render"
+    image_source: str = "render"
     lockstep: bool = False
 
 

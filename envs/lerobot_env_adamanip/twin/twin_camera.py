@@ -10,7 +10,6 @@ from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.cameras.base import MAX_AGE, ThreadedCamera
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 from lerobot_env_adamanip.twin.config_devices import AdamanipTwinConfig
-from lerobot_env_adamanip.twin.process import FRONT_FRAMES
 
 CAMERA_HZ = 10
 """Default rate in real time [Hz]."""
@@ -21,7 +20,7 @@ LOOK_TIME = 120.0
 
 
 class AdamanipTwin(ThreadedCamera):
-    """The front camera of the twin.
+    """A camera of the twin's scene.
 
     In real time its thread takes pictures at ``fps``. In lockstep each read takes a picture, at most one per step,
     so that equal steps give equal data.
@@ -34,12 +33,16 @@ class AdamanipTwin(ThreadedCamera):
     def __init__(self, config: AdamanipTwinConfig) -> None:
         super().__init__(config, "twin")
         self._client: ArmClient | None = None
+        self._view = ""
         self._lockstep = False
         self._wanted = self._due = 0.0
         self._seen_at: float | None = None
 
-    def attach(self, client: ArmClient, *, size: int, lockstep: bool) -> None:
-        """Attaches the camera to the twin process, before `connect`. Raises `ConfigurationError` for another size."""
+    def attach(self, client: ArmClient, view: str, *, size: int, lockstep: bool) -> None:
+        """Attaches the camera to a view of the twin process, before `connect`.
+
+        Raises `ConfigurationError` for another size.
+        """
         if any(side not in (None, size) for side in (self.config.width, self.config.height)):
             raise ConfigurationError(
                 "The camera's size differs from the twin's image size.",
@@ -47,7 +50,7 @@ class AdamanipTwin(ThreadedCamera):
                 allowed=f"{size} x {size}, or none",
                 hint="--robot.image_size=256",
             )
-        self._client, self._lockstep = client, lockstep
+        self._client, self._view, self._lockstep = client, view, lockstep
         self.width = self.height = size
         self.fps = self.config.fps or CAMERA_HZ
 
@@ -92,16 +95,15 @@ class AdamanipTwin(ThreadedCamera):
     def _look(self) -> Frame:
         """Takes a picture. In lockstep its stamp is that of the last reading."""
         assert self._client is not None
-        self._client.request("look", time_limit=LOOK_TIME)
-        latest = self._client.frame(FRONT_FRAMES)
+        self._client.request("look", {"camera": self._view, "depth": self.use_depth}, time_limit=LOOK_TIME)
+        latest = self._client.frame(self._view)
         if latest is None:
             raise RobotError("The twin has taken no picture.")
         frame: Frame = latest[1]
         arrival = time.perf_counter()
         reading = self._client.status().reading if self._lockstep else None
         stamp = frame.stamp if reading is None else reading.stamp
-        color, depth = frame.color if self.use_rgb else None, frame.depth if self.use_depth else None
-        return Frame(stamp, arrival, color, depth, frame.number)
+        return Frame(stamp, arrival, frame.color if self.use_rgb else None, frame.depth, frame.number)
 
     def _close(self) -> None:
         self._seen_at = None

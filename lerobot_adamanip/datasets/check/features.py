@@ -10,7 +10,7 @@ from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_co
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
 from lerobot_adamanip.datasets.opening import INFO
-from lerobot_adamanip.hardware.features import is_dense, names_of
+from lerobot_adamanip.hardware.features import ARM, is_dense, is_former, names_of
 
 OF_LEROBOT: Mapping[str, str] = {
     "timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
@@ -43,11 +43,12 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
 
 
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
-    """Checks a robot's recording: order of the names, as in the contract, and LeRobot's columns."""
-    for key, names in ((schema.STATE, schema.STATE_NAMES), (schema.ACTION, schema.POSE_NAMES)):
-        actual = names_of(features[key])
-        if actual[: len(names)] != list(names) or list(features[key]["shape"]) != [len(actual)]:
-            report.add("schema", f"{key}: names {actual!r:.80}, not {list(names)!r:.80} first", INFO)
+    """Checks a robot's recording: its format, the number of its names, and LeRobot's columns."""
+    if is_former(features):
+        report.add("schema", f"{schema.STATE} holds a clock and the result: --repair moves them to {ARM}", INFO)
+    for key in (schema.STATE, schema.ACTION):
+        if list(features[key]["shape"]) != [len(names_of(features[key]))]:
+            report.add("schema", f"{key}: shape {features[key]['shape']!r:.80}, not that of its names", INFO)
     for key, dtype in OF_LEROBOT.items():
         if (features.get(key) or {}).get("dtype") != dtype:
             report.add("schema", f"no column {key} of {dtype}", INFO)

@@ -21,7 +21,7 @@ from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.dataset import Dataset, Episode
 from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.opening import first_line
-from lerobot_adamanip.hardware.features import UNLABELLED
+from lerobot_adamanip.hardware.features import UNLABELLED, names_of
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import listed
 
@@ -34,7 +34,7 @@ ORTHONORMAL = 1e-3
 MARGIN = 1e-4
 """Rounding allowance for points outside the workspace [m] and openings outside [0, 1]."""
 LABELS: Mapping[str, tuple[int, int]] = {
-    schema.PHASE: (UNLABELLED, max(Phase)), schema.OUTCOME: (min(Outcome), max(Outcome)),
+    schema.PHASE: (UNLABELLED, max(Phase)), schema.OUTCOME: (schema.GOES_ON, max(Outcome)),
     schema.TRIED: (-1, schema.MAX_OBJECT_JOINTS - 1), schema.TRIAL: (UNLABELLED, 10_000),
 }  # fmt: skip
 """Column -> smallest and largest code."""
@@ -149,7 +149,7 @@ def check_values(
             report.add_rows("not-finite", f"NaN or infinity in {key}", where, broken)
     is_dense = is_dense_collection(features)
     with np.errstate(invalid="ignore"):
-        _check_poses(where, columns, report)
+        _check_poses(where, columns, features, report)
         _check_clouds(where, columns, workspace, report)
         if is_dense:
             check_dense_values(where, columns, features, report)
@@ -180,10 +180,10 @@ def _shape(cell: Any) -> tuple[int, ...] | None:
         return None
 
 
-def _check_poses(where: Rows, columns: Columns, report: Report) -> None:
-    """Checks the columns that begin with a pose; other kinds of dense actions and states are shorter."""
-    for key in (key for key in (schema.STATE, schema.ACTION, schema.KEY_FRAME) if key in columns):
-        if columns[key].shape[1] < schema.ACTION_DIM:
+def _check_poses(where: Rows, columns: Columns, features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
+    """Checks the columns that begin with a pose; other kinds of dense actions and states have other names."""
+    for key in (schema.STATE, schema.ACTION, schema.KEY_FRAME):
+        if key not in columns or names_of(features[key])[: schema.ACTION_DIM] != list(schema.POSE_NAMES):
             continue
         values = columns[key].astype(np.float64)
         finite = np.isfinite(values).all(axis=1)

@@ -5,30 +5,29 @@ from __future__ import annotations
 import logging
 import shlex
 import time
-from collections.abc import Mapping
 from dataclasses import fields
 from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
-import numpy as np
 from lerobot.cameras.camera import Camera
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 
+from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
-from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import check_caller
-from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, check_cameras, pictures, scalars
+from lerobot_adamanip.hardware.adamanip_franka.interface import adopt_training_rate, interface_of
+from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, check_cameras, pictures
 from lerobot_adamanip.hardware.arm import ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.camera_frames import read_calibrations
 from lerobot_adamanip.hardware.closing import close_all, closing_on_error
-from lerobot_adamanip.hardware.features import SCALAR_NAMES
-from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, ROBOTS, SUCCESS, RobotSession
+from lerobot_adamanip.hardware.dense_kinds import decode_action
+from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
@@ -133,6 +132,7 @@ class AdamanipFranka(Robot):
         for call in ON_CREATION:
             call()
         self.config = config
+        self.interface = interface_of(config)
         self.cameras = make_cameras_from_configs(config.cameras)
         self._client: ArmClient | None = None
         self._driver: MotionDriver | None = None
@@ -142,13 +142,14 @@ class AdamanipFranka(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """Scalars (`features.SCALAR_NAMES`) and camera images."""
-        return {**dict.fromkeys(SCALAR_NAMES, float), **camera_features(self.cameras)}
+        """State and camera images. LeRobot makes all of them policy inputs."""
+        state = dict.fromkeys(STATES[self.interface.state], float)
+        return {**state, **camera_features(self.cameras, depth=self.interface.depth)}
 
     @cached_property
     def action_features(self) -> dict[str, type]:
-        """Action: tool pose and gripper opening."""
-        return dict.fromkeys(POSE_NAMES, float)
+        """Action, see `contract.control.ACTION_NAMES`."""
+        return dict.fromkeys(ACTION_NAMES[self.interface.action], float)
 
     @property
     def session(self) -> RobotSession:
@@ -204,6 +205,7 @@ class AdamanipFranka(Robot):
         if self._client is not None:
             raise RobotError(f"{self} is connected already.")
         check_caller(self.config)
+        adopt_training_rate(self.config)
         check_cameras(self.cameras, key_frames=self.config.execution == Execution.KEYFRAME)
         limits = self._safety_limits()
         self._client = self._make_client()
@@ -223,6 +225,7 @@ class AdamanipFranka(Robot):
             for handler in logging.getLogger().handlers:
                 handler.addFilter(self._slow_loop)
         self._session.execution = execution = Execution(self.config.execution)
+        self._session.action, self._session.state = self.interface.action, self.interface.state
         time_limit = self.config.motion_time
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), execution, time_limit)
         if self.config.recover_on_connect:
@@ -297,41 +300,37 @@ class AdamanipFranka(Robot):
             RobotError: the arm has a fault, or its process or a camera does not answer.
         """
         reading = self._motion.read()
-        observation: dict[str, Any] = dict(self._scalars(reading))
+        observation: dict[str, Any] = self._session.observe(reading, self._stamp(reading))
         for key, camera in self.cameras.items():
-            observation |= pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
+            images = pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
+            observation |= {name: image for name, image in images.items() if name in self.observation_features}
         return observation
 
-    def _scalars(self, reading: ArmReading) -> dict[str, float]:
-        details = self._session.details
-        success = bool(details.get(OPERATOR_SUCCESS) or details.get(SUCCESS))
-        assert self._session.sent is not None
-        return scalars(reading, self._session.sent, self._connected_at, success)
+    def _stamp(self, reading: ArmReading) -> float:
+        """Returns the measurement time since connection [s]."""
+        return reading.stamp - self._connected_at
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
         """Sends an action through the safety filter and returns the filtered action.
+
+        A delta counts from the latest observation's pose, which the policy or teleoperator has seen.
 
         Raises:
             RobotError: the arm has a fault, ten actions in a row were malformed, or a key frame does not end.
             ConfigurationError: the action lacks a name.
         """
-        target = action_vector(action)
+        observed = self._session.reading or self._motion.read()
+        target = decode_action(action, observed, self.interface.action)
         sent = self._motion.send(target, self._motion.read())
-        return dict(zip(POSE_NAMES, sent.tolist(), strict=True))
+        self._measure_success()
+        return self._session.act(sent, observed)
+
+    def _measure_success(self) -> None:
+        """Updates the session's success. A twin overrides it; on a real arm only the operator knows."""
 
     def recover(self) -> None:
         """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
         self._motion.recover()
-
-
-def action_vector(action: Mapping[str, Any]) -> Target:
-    """Returns LeRobot's action as (10,) float32. Raises `ConfigurationError` if a name is missing."""
-    if missing := [name for name in POSE_NAMES if name not in action]:
-        raise ConfigurationError(
-            "An action lacks names.", got=f"no {', '.join(missing)}", allowed=", ".join(POSE_NAMES)
-        )
-    with np.errstate(over="ignore"):
-        return np.array([float(action[name]) for name in POSE_NAMES], dtype=np.float32)
 
 
 def _stop(camera: Camera) -> None:

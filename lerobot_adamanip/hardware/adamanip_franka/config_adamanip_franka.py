@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.hardware.backends.franky_options import MODELS, FrankyOptions
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
@@ -28,6 +29,18 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     execution: str = "stream"
     """How actions run. stream: each action replaces the one before (teleoperate, record). keyframe: each action is one
     complete motion (rollout, replay of key frames)."""
+
+    action: str | None = None
+    """Action in stream mode: ee_delta (7 numbers, from the measured pose) or ee_pose (10). Default: that of the
+    command's policy, else ee_delta."""
+
+    state: str | None = None
+    """State in stream mode: pose (8 numbers) or full (24, with joints). Default: that of the command's policy, else
+    pose."""
+
+    depth: bool | None = None
+    """Whether observations hold the cameras' depth, from which clouds are made. LeRobot's own policies fail on it.
+    Default: in key frames, and for a policy that needs it."""
 
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     """Cameras by key. The depth of the camera ``front`` becomes the point cloud."""
@@ -62,5 +75,7 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
         RobotConfig.__post_init__(self)
         with shown_by_parsers():
             require_choice("execution", self.execution, EXECUTIONS)
+            require_choice("kind of action", self.action or EE_DELTA, ACTION_NAMES, hint="--robot.action=ee_delta")
+            require_choice("kind of state", self.state or POSE, STATES, hint="--robot.state=pose")
             if self.model:
                 require_choice("model of arm", self.model, MODELS)

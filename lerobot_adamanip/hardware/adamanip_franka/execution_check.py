@@ -4,27 +4,63 @@ A policy that was trained on key frames predicts complete motions. In ``stream``
 a few millimetres before the next one replaces it. A policy that was trained on ticks predicts the next 1/30 s. In
 ``keyframe`` mode the arm would come to rest after each action.
 
-LeRobot gives a robot no policy, so the command's configuration is looked up on the call stack. The columns of the
-training data show which kind it is: LeRobot stores statistics of all of them in a checkpoint, also of stock policies.
+LeRobot gives a robot no policy, so the command's configuration is looked up on the call stack. Shapes of state and
+action and columns of the training data tell both kinds apart: LeRobot stores statistics of all columns in a checkpoint,
+also of stock policies.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from lerobot_adamanip.contract.schema import ACTION, STATE
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, JOINT, POSE, STATES
+from lerobot_adamanip.contract.schema import ACTION, KEY_FRAME, STATE
 from lerobot_adamanip.hardware.arm import Execution
-from lerobot_adamanip.hardware.features import INTERVENTION, KEY_FRAME_COLUMNS, SCALAR_NAMES, names_of
+from lerobot_adamanip.hardware.features import ARM, INTERVENTION, KEY_FRAME_COLUMNS, is_former, kind_of
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 
 PREPROCESSOR = "policy_preprocessor.json"
 """File of a checkpoint that names the files with statistics."""
+TRAINING = "train_config.json"
+"""File of a checkpoint that names its training data."""
+TICK_SHAPES = {
+    ACTION: tuple((len(ACTION_NAMES[kind]),) for kind in (EE_DELTA, JOINT)),
+    STATE: ((len(STATES[POSE]),),),
+}
+"""Shapes that key frames do not have."""
 ONE_ACTION_IS = {Execution.KEYFRAME: "one complete motion (a key frame)", Execution.STREAM: "one tick of a stream"}
+
+
+@dataclass(frozen=True)
+class Caller:
+    """The LeRobot command that creates or connects a robot.
+
+    Attributes:
+        config: its options; None outside LeRobot's commands.
+        policy: configuration of its policy, if any.
+        dataset: the dataset that it has opened, if any.
+    """
+
+    config: Any = None
+    policy: Any = None
+    dataset: Any = None
+
+    @classmethod
+    def of(cls, robot: object) -> Caller:
+        """Returns the nearest command on the call stack whose ``cfg`` is for a robot with this configuration."""
+        frame: FrameType | None = sys._getframe()
+        while frame is not None and getattr(frame.f_locals.get("cfg"), "robot", None) is not robot:
+            frame = frame.f_back
+        if frame is None:
+            return cls()
+        config = frame.f_locals["cfg"]
+        return cls(config, getattr(config, "policy", None), frame.f_locals.get("dataset"))
 
 
 def check_caller(robot: Any) -> None:
@@ -35,14 +71,11 @@ def check_caller(robot: Any) -> None:
     Raises:
         ConfigurationError: the command's actions need the other execution mode.
     """
-    frame = _caller(robot)
-    if frame is None:
-        return
-    config = frame.f_locals["cfg"]
-    if (policy := getattr(config, "policy", None)) is not None:
-        what, needed = f"policy {policy.pretrained_path}", execution_of_policy(policy)
-    elif not hasattr(config, "teleop") and (dataset := frame.f_locals.get("dataset")) is not None:
-        what, needed = f"dataset {config.dataset.repo_id}", execution_of_data(dataset.features)
+    caller = Caller.of(robot)
+    if caller.policy is not None:
+        what, needed = f"policy {caller.policy.pretrained_path}", execution_of_policy(caller.policy)
+    elif caller.dataset is not None and not hasattr(caller.config, "teleop"):
+        what, needed = f"dataset {caller.config.dataset.repo_id}", execution_of_data(caller.dataset.features)
     else:
         return
     require_execution(needed, Execution(robot.execution), what)
@@ -66,17 +99,35 @@ def execution_of_policy(policy: Any) -> Execution | None:
     Data of other projects are ticks. Unknown (None): no statistics, or a recorded rollout, which may be of both modes.
     """
     path, revision = str(policy.pretrained_path), getattr(policy, "pretrained_revision", None)
+    features = {**(policy.input_features or {}), **(getattr(policy, "output_features", None) or {})}
+    if any(tuple(getattr(features.get(name), "shape", ())) in sizes for name, sizes in TICK_SHAPES.items()):
+        return Execution.STREAM
     columns = set(policy.input_features or ()) | _normalized_columns(path, revision)
-    if KEY_FRAME_COLUMNS & columns:
+    if KEY_FRAME_COLUMNS & columns and KEY_FRAME not in columns:
         return Execution.KEYFRAME
     return Execution.STREAM if ACTION in columns and INTERVENTION not in columns else None
 
 
 def execution_of_data(features: Mapping[str, Any]) -> Execution | None:
     """Returns the execution mode of a dataset with these features; None if unknown, e.g. for a recorded rollout."""
-    if KEY_FRAME_COLUMNS & set(features):
-        return Execution.KEYFRAME
-    return Execution.STREAM if set(SCALAR_NAMES) <= set(names_of(features.get(STATE))) else None
+    kinds = kind_of(features.get(ACTION), ACTION_NAMES), kind_of(features.get(STATE), STATES)
+    if is_former(features) or kinds[0] in (EE_DELTA, JOINT) or kinds[1] == POSE:
+        return Execution.STREAM
+    if KEY_FRAME in features:
+        return None if ARM in features else Execution.STREAM
+    return Execution.KEYFRAME if KEY_FRAME_COLUMNS & set(features) else None
+
+
+def rate_of_training(policy: Any) -> float | None:
+    """Returns the rate of a policy's training data [Hz]; None if they are not on this machine."""
+    from lerobot.utils.constants import HF_LEROBOT_HOME
+
+    try:
+        dataset = json_fields.read(Path(policy.pretrained_path) / TRAINING)["dataset"]
+        root = Path(dataset["root"] or HF_LEROBOT_HOME / dataset["repo_id"])
+        return float(json_fields.read(root / "meta" / "info.json")["fps"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return None
 
 
 def _normalized_columns(checkpoint: str, revision: str | None) -> set[str]:
@@ -100,11 +151,3 @@ def _checkpoint_file(checkpoint: str, name: str, revision: str | None) -> Path:
     from huggingface_hub import hf_hub_download
 
     return Path(hf_hub_download(checkpoint, name, revision=revision))
-
-
-def _caller(robot: object) -> FrameType | None:
-    """Returns the nearest frame of the call stack whose ``cfg`` is for this robot; None outside LeRobot's commands."""
-    frame: FrameType | None = sys._getframe()
-    while frame is not None and getattr(frame.f_locals.get("cfg"), "robot", None) is not robot:
-        frame = frame.f_back
-    return frame

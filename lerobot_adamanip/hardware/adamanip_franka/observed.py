@@ -1,4 +1,4 @@
-"""Observation of the robot: named scalars and camera images."""
+"""Camera images of the robot's observation."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ import time
 from collections.abc import Mapping
 from typing import Any
 
-import numpy as np
 from lerobot.cameras.camera import Camera
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.rotations import pose_vector
-from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.cameras.base import FrameReader
-from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, SCALAR_NAMES
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
-NO_OUTCOME = -1.0
 ARRIVAL_STAMPED = frozenset(("OpenCVCamera", "RealSenseCamera"))
 """LeRobot's cameras of this machine. They stamp pictures (``latest_timestamp``) when these arrive."""
 QUEUED_PICTURES, DRIVER_DELAY_S = 4, 0.1
@@ -26,31 +22,15 @@ SLOWEST_FPS = 10
 POLL_S = 0.005
 
 
-def camera_features(cameras: dict[str, Camera]) -> dict[str, tuple[int, int, int]]:
-    """Returns image shapes by name: colour under the camera's key, depth under the key with a suffix."""
+def camera_features(cameras: dict[str, Camera], *, depth: bool) -> dict[str, tuple[int, int, int]]:
+    """Returns image shapes by name: colour under the camera's key, depth, if wanted, under the key with a suffix."""
     features: dict[str, tuple[int, int, int]] = {}
     for key, camera in cameras.items():
         if getattr(camera, "use_rgb", True):
             features[key] = (camera.height, camera.width, 3)
-        if getattr(camera, "use_depth", False):
+        if depth and getattr(camera, "use_depth", False):
             features[f"{key}{DEPTH_SUFFIX}"] = (camera.height, camera.width, 1)
     return features
-
-
-def scalars(reading: ArmReading, sent: NDArray[np.float32], connected: float, success: bool) -> dict[str, float]:
-    """Returns all scalars by name, in the order of `features.SCALAR_NAMES`.
-
-    Args:
-        reading: arm reading.
-        sent: (10,) last accepted target.
-        connected: connection time of the robot, `time.perf_counter()` [s].
-        success: task success, from the operator or the twin.
-    """
-    pose = pose_vector(reading.tcp_in_base, reading.gripper)
-    outcome = NO_OUTCOME if reading.outcome is None else float(reading.outcome)
-    parts = (pose, reading.qpos, reading.qvel, reading.effort, sent, (outcome, reading.stamp - connected, success))
-    values = np.concatenate([np.asarray(part, dtype=np.float64) for part in parts])
-    return dict(zip(SCALAR_NAMES, values.tolist(), strict=True))
 
 
 def check_cameras(cameras: Mapping[str, Camera], *, key_frames: bool) -> None:

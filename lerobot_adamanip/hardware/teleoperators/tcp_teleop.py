@@ -11,10 +11,12 @@ from typing import Any, ClassVar
 import numpy as np
 from lerobot.teleoperators.teleoperator import Teleoperator
 
+from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA
 from lerobot_adamanip.contract.rotations import Array, matrix_from_rotation_vector, pose_from_vector, pose_vector
-from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSE_NAMES
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.closing import closing_on_error
+from lerobot_adamanip.hardware.dense_kinds import encode_action
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter
 from lerobot_adamanip.hardware.target_geometry import Target
@@ -38,7 +40,6 @@ class TcpTeleop(Teleoperator):
 
     config_class = TcpTeleopConfig
     name = "adamanip_tcp"
-    action_features = dict.fromkeys(POSE_NAMES, float)
     feedback_features: ClassVar[dict[str, type]] = {}
     is_calibrated, is_connected = True, False
 
@@ -49,6 +50,12 @@ class TcpTeleop(Teleoperator):
         self._session: RobotSession | None = None
         self._episode = -1
         self._anchored_after = self._called = float("-inf")
+
+    @property
+    def action_features(self) -> dict[str, type]:
+        """Action of the robot's kind, see `contract.control.ACTION_NAMES`."""
+        session = ROBOTS.find(self.config.robot_id)
+        return dict.fromkeys(ACTION_NAMES[session.action if session else EE_DELTA], float)
 
     # LeRobot's teleoperator -------------------------------------------------------------------------------------------
 
@@ -77,7 +84,9 @@ class TcpTeleop(Teleoperator):
         """Does nothing: the devices have no feedback."""
 
     def get_action(self) -> dict[str, float]:
-        """Returns the goal by name, see `schema.POSE_NAMES`.
+        """Returns the action of the robot's kind that leads from the observed pose to the goal.
+
+        This is what a policy would have to predict at this observation, so recordings store it.
 
         Raises:
             RobotError: not connected, no robot has been observed yet, or the device has failed.
@@ -88,11 +97,12 @@ class TcpTeleop(Teleoperator):
         self._called = now
         if self._filter is None:
             if session.safety is None or reading.stamp <= self._anchored_after:
-                return _named(pose_vector(reading.tcp_in_base, reading.gripper))
+                start = pose_vector(reading.tcp_in_base, reading.gripper)
+                return encode_action(session.action, start, reading)
             self._filter = SafetyFilter(session.safety)
             self._filter.anchor(reading.tcp_in_base, reading.gripper)
             dt = 0.0  # the robot also counts no time before its first target, so both filters stay equal
-        return _named(self._advance(session, reading, dt))
+        return encode_action(session.action, self._advance(session, reading, dt), reading)
 
     # The goal --------------------------------------------------------------------------------------------------------
 
@@ -211,7 +221,3 @@ class JogTeleop(TcpTeleop):
         target = last.copy() if is_still else pose_vector(pose, gripper)
         target[GRIPPER_DIM] = gripper
         return self._to(target, reading, dt)
-
-
-def _named(target: Target) -> dict[str, float]:
-    return dict(zip(POSE_NAMES, target.tolist(), strict=True))

@@ -20,11 +20,11 @@ from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_featu
 from toy_demos import REPO_ID
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import FULL, STATES
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, save_calibration
 from lerobot_adamanip.hardware.depth_cloud import depth_cloud
-from lerobot_adamanip.hardware.features import SCALAR_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.depth_to_cloud_step import DepthToCloudStep
@@ -179,7 +179,7 @@ def test_lerobots_rollout_engine_acts_from_depth_as_from_the_cloud_of_it(
     """Frames as `lerobot.rollout` builds them of a robot's features; processors as it loads them of a checkpoint."""
     policy, *_ = saved(make_tiny, tmp_path)
     pictures = {"front": (HEIGHT, WIDTH, 3), "front_depth": (HEIGHT, WIDTH, 1)}
-    scalars = [name for name in SCALAR_NAMES if name.endswith((".pos", ".vel"))]
+    scalars = STATES[FULL]
     features = hw_to_dataset_features({**dict.fromkeys(scalars, float), **pictures}, "observation")
     assert features[schema.STATE]["shape"] == (schema.STATE_DIM,)
     told = dict(zip(scalars, STATE.tolist(), strict=True))
