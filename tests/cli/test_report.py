@@ -114,6 +114,7 @@ def test_scenes_are_told_and_never_mixed(tmp_path: Path, capsys: pytest.CaptureF
     assert cli.main(["report", str(path)]) == 0
     printed = capsys.readouterr().out
     assert "Success on test and validation scenes" in printed
+    assert "20 on test scenes" in printed
     assert "report --episodes N" in printed
 
 

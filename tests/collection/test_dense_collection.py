@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import demos_fake_env
 import numpy as np
@@ -22,6 +22,8 @@ from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES
+from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.datasets.cards import collect_command
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
@@ -30,6 +32,7 @@ from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.datasets.view import read_episode
+from lerobot_adamanip.episode.dense import dense_rollout
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.video import open_mp4
@@ -59,6 +62,23 @@ def test_an_interrupted_collection_goes_on_to_the_same_bytes(
                 collect_dense(root, keep_failed=True)
     assert not root.exists()
     same_bytes(whole, collect_dense(root, keep_failed=True))
+
+
+def test_no_step_follows_the_end_of_an_episode(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The time ends in the middle of a motion."""
+    env, steps = make_dense_env(dense_spec().environment_of("safe")), list[Any]()
+    observation, _ = env.reset(seed=0, options={"object_id": "safe_000"})
+    step = env.step
+
+    def last_step(action: np.ndarray) -> tuple[Any, ...]:
+        steps.append(action)
+        following, reward, terminated, _, info = step(action)
+        return following, reward, terminated, True, info
+
+    monkeypatch.setattr(env, "step", last_step)
+    far: Any = (goal for goal in [Goal(transform((0.3, 0.0, 0.9)), 1.0, Phase.APPROACH)])
+    result = dense_rollout(cast("Any", env), observation, far)
+    assert (len(steps), result.key_frames, result.success) == (1, 1, False)
 
 
 def test_parts_make_the_same_bytes(whole: Path, tmp_path: Path) -> None:

@@ -118,6 +118,23 @@ def test_a_part_tells_its_own_counts_and_how_it_was_chosen(published: Path, tmp_
     assert scanned == []
 
 
+@pytest.mark.parametrize(
+    ("moved", "sentence"), [(0, "its pose is the same in all episodes"), (1, "its pose is drawn anew for each episode")]
+)
+def test_a_camera_that_moves_between_episodes_is_told(
+    published: Path, tmp_path: Path, moved: int, sentence: str
+) -> None:
+    """It moves in the last episode only."""
+    root = shutil.copytree(published, tmp_path / "moved")
+    (path,) = (root / "meta" / "episodes").glob("*/*.parquet")
+    table = pq.read_table(path)
+    camera = json.loads(table["camera"][0].as_py())
+    other = json.dumps({**camera, "extrinsics": [[7.0] * 4] * 4})
+    cameras = [json.dumps(camera)] * (len(table) - moved) + [other] * moved
+    pq.write_table(table.set_column(table.schema.get_field_index("camera"), "camera", pa.array(cameras)), path)
+    assert sentence in " ".join(dataset_card(root, "moved", "local/moved").split())
+
+
 def test_nothing_of_this_machine_is_published(published: Path) -> None:
     secrets = [str(published), str(Path.home()), "/tmp", socket.gethostname(), str(Path.cwd())]
     secrets = [secret for secret in (*secrets, f"/{getpass.getuser()}/") if len(secret) > 3]  # not by chance

@@ -15,6 +15,9 @@ from dense_episodes import FULL, collect_dense
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES
 from lerobot_adamanip.datasets.check.dataset import check
+from lerobot_adamanip.datasets.check.features import OF_LEROBOT, check_features
+from lerobot_adamanip.datasets.check.findings import Report
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util import jobs
 
 TRY, LAST = "the row of a try", "the last row"
@@ -76,6 +79,14 @@ def test_damage_is_named_and_placed(kind: str, damage: Damage, dense: Mapping[st
     damage.do(root)
     places = {(each.kind, each.file, each.episode, each.frame) for each in check(root).findings}
     assert places == set(damage.found)
+
+
+@pytest.mark.parametrize("key", OF_LEROBOT)
+def test_a_missing_column_of_lerobot_is_named(key: str, dense: Mapping[str, Path]) -> None:
+    features = {name: feature for name, feature in Dataset(dense[DELTA]).features.items() if name != key}
+    report = Report()
+    check_features(features, report, collected=True)
+    assert [finding.message for finding in report.findings] == [f"no column {key}"]
 
 
 def test_the_final_observation_ends_no_key_frame(dense: Mapping[str, Path], tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
@@ -19,7 +20,7 @@ from lerobot_adamanip.contract.rotations import (
     transform,
 )
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_env_adamanip.sim.arm_driver import FINGER_OPEN, ArmDriver
+from lerobot_env_adamanip.sim.arm_driver import FINGER_OPEN, STREAM_JOINT_ACCELERATION, STREAM_JOINT_SPEED, ArmDriver
 from lerobot_env_adamanip.sim.kinematics import IKResult, pose_error
 from lerobot_env_adamanip.sim.simulation import ArmState, Simulation
 
@@ -94,6 +95,18 @@ def test_speed_stays_within_the_limits() -> None:
     gantry = Watched()
     gantry.driver().execute(goal(0.9, 0.5, 0.3))
     assert 0.3 < gantry.fastest <= MotionLimits().linear_speed * 1.001
+
+
+def test_joints_of_a_stream_arrive_within_its_speed_and_acceleration_and_a_joint_at_its_goal_stays() -> None:
+    goal, dt = np.array([1.5, -0.4, 0.0, 0.1, 0.9, -1.2, 0.02]), 1 / 60
+    stream = SimpleNamespace(_target=np.zeros(7), _joint_velocity=np.zeros(7), _dt=dt, stalled=False)
+    for _ in range(300):
+        before = stream._joint_velocity
+        stream._target = ArmDriver._next_joints(cast("ArmDriver", stream), goal)
+        assert np.abs(stream._joint_velocity).max() <= STREAM_JOINT_SPEED + 1e-9
+        assert np.abs(stream._joint_velocity - before).max() <= STREAM_JOINT_ACCELERATION * dt + 1e-9
+        assert stream._target[2] == 0.0
+    np.testing.assert_allclose(stream._target, goal, atol=1e-3)
 
 
 def test_a_wall_is_felt_and_the_strain_is_given_up() -> None:

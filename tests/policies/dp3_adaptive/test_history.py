@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from lerobot_adamanip.contract import schema
+from lerobot_policy_adamanip.dp3_adaptive.diffusion import CloudUnits
 
 Shape = tuple[str, int, int, int, int]
 SHAPES: list[Shape] = [("dp3", 1, 3, 4, 1), ("dp3", 3, 5, 4, 2), ("dp3", 2, 1, 4, 4), ("dp3", 1, 0, 4, 2)]
@@ -88,6 +89,19 @@ def test_every_past_action_conditions(make_tiny: MakeTiny, batch_of: Any, shape:
         changed = window.history.clone()
         changed[:, row] += 0.5
         assert not torch.equal(policy.model.condition(replace(window, history=changed)), plain)
+
+
+def test_only_the_place_of_a_cloud_among_the_datasets_clouds_conditions(make_tiny: MakeTiny, batch_of: Any) -> None:
+    """Clouds that are all moved and enlarged, with their statistics, are the same to the paper's head."""
+    policy, before, _, dataset = make_tiny()
+    policy.eval()
+    window, *_ = policy.training_window(batch_of(dataset, before, 0, 6))
+    plain, cloud = policy.model.condition(window), window.observations[schema.POINT_CLOUD]
+    changed = replace(window, observations={**window.observations, schema.POINT_CLOUD: 3 * cloud + 0.7})
+    assert not torch.allclose(policy.model.condition(changed), plain, atol=1e-3)
+    stats = {name: 3 * dataset.meta.stats[schema.POINT_CLOUD][name] + 0.7 for name in ("min", "max")}
+    policy.model.cloud_units = CloudUnits({schema.POINT_CLOUD: stats})
+    torch.testing.assert_close(policy.model.condition(changed), plain, rtol=0, atol=1e-4)
 
 
 @pytest.mark.parametrize(("preset", "part"), [("fast", "memory"), ("diffusion", "memory"), ("dp3", "history")])
