@@ -33,12 +33,7 @@ class DenseEnv(KeyframeEnv):
     """
 
     def __init__(self, category: str | None = None, **values: Any) -> None:
-        options = values.pop("options", None)
-        if options is not None:
-            values["options"] = options.changed(control=DENSE)
-        else:
-            values["control"] = DENSE
-        super().__init__(category, **values)
+        super().__init__(category, **{**values, "control": DENSE})
         self._ticks = TICKS_PER_SECOND // self.options.fps
 
     def motion(self, action: NDArray[np.float32]) -> Generator[None]:

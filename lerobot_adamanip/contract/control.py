@@ -8,7 +8,7 @@ KEYFRAME, DENSE = "keyframe", "dense"
 CONTROLS = (KEYFRAME, DENSE)
 """``keyframe``: one step is one key frame; ``dense``: one step is 1/fps seconds."""
 RATES = (5, 10, 25)
-"""Rates of dense control [Hz]: those of which a step is a whole number of the simulator's 50 Hz ticks."""
+"""Rates of dense control [Hz]: a step is then a whole number of ticks of the simulator, which has 50 a second."""
 EE_DELTA, EE_POSE, JOINT = "ee_delta", "ee_pose", "joint"
 POSE, FULL = "pose", "full"
 DELTA_POSITION, DELTA_ROTATION = 0.1, 0.5

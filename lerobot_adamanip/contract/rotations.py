@@ -163,6 +163,11 @@ def straight_path(start: Array, goal: Array, fractions: Array) -> Array:
     return path
 
 
+def quintic_duration(way: float, speed: float, acceleration: float) -> float:
+    """Returns the least time [s] of a quintic over a way [m or rad] with these peaks, 15/8 d/T and 10/sqrt(3) d/T^2."""
+    return max(1.875 * way / speed, math.sqrt(10 / math.sqrt(3) * way / acceleration))
+
+
 def pose_vector(tcp_in_base: Array, gripper: float) -> NDArray[np.float32]:
     """Returns the (10,) pose of the contract: position [m], rotation 6D, gripper [0 closed, 1 open]."""
     rotation_6d = rotation_6d_from_matrix(tcp_in_base[:3, :3])

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import bisect
-import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, MotionLimits, Outcome
+from lerobot_adamanip.contract.keyframes import Goal, KeyFrameLabels, KeyFrames, MotionLimits, Outcome
 from lerobot_adamanip.contract.observation import Observation, observation_columns
-from lerobot_adamanip.contract.rotations import angle_between, straight_path
+from lerobot_adamanip.contract.rotations import angle_between, quintic_duration, straight_path
 from lerobot_adamanip.episode.options import TIME_LIMIT
 from lerobot_adamanip.episode.rollout import RolloutResult, SimulatedEnvironment, next_goal
 
@@ -61,10 +60,10 @@ class DenseStep:
         observation: before the action.
         action: action of the expert.
         goal: key frame that it is part of.
-        outcome: how the key frame ended; None while it goes on.
+        outcome: how the key frame ended; None in a step that does not end it.
         following: observation after the action.
         success: whether the task is done by now.
-        labels: the try that goes on in this step.
+        labels: labels of the try in this step.
         executed: action that was sent, if it is not ``action``: see `lerobot_adamanip.collection.corrections`.
     """
 
@@ -114,7 +113,7 @@ def dense_rollout(
                 if on_step is not None:
                     on_step(DenseStep(observation, action, goal, outcome, following, success, env.labels))
                 observation = following
-            goal = None if outcome is None else next_goal(expert, _feedback(env, outcome))
+            goal = None if outcome is None else next_goal(expert, replace(env.feedback, outcome=outcome))
     finally:
         expert.close()
     return RolloutResult(success, key_frames, "success" if success else reason)
@@ -192,10 +191,6 @@ def _stacked(rows: list[dict[str, NDArray[Any]]]) -> dict[str, NDArray[Any]]:
     return {key: np.stack([row[key] for row in rows]) for key in rows[0]}
 
 
-def _feedback(env: DenseEnvironment, outcome: Outcome) -> Feedback:
-    return Feedback(env.feedback.tcp_in_base, env.feedback.gripper, outcome, env.feedback.is_clipped)
-
-
 class KeyFrameMotion:
     """Dense motion of one key frame: a straight line with a smooth speed profile, as the key-frame driver moves.
 
@@ -213,7 +208,12 @@ class KeyFrameMotion:
         self._strained_until = MOST_STRAINED if strained else 0.0
         distance = float(np.linalg.norm(goal.tcp_in_base[:3, 3] - self._start[:3, 3]))
         angle = angle_between(self._start[:3, :3], goal.tcp_in_base[:3, :3])
-        self._duration = path_duration(distance, angle, self._limits)
+        limits = self._limits
+        self._duration = max(
+            quintic_duration(distance, limits.linear_speed, limits.linear_acceleration),
+            quintic_duration(angle, limits.angular_speed, limits.angular_acceleration),
+            TICK,
+        )
 
     def action(self) -> NDArray[np.float32]:
         """Returns the next action: towards the point of the path that is `LEAD` ahead, less at its start.
@@ -229,7 +229,7 @@ class KeyFrameMotion:
         return self._env.action_toward(target, self._goal.gripper)
 
     def outcome(self) -> Outcome | None:
-        """Returns how the key frame has ended after the latest step; None if it goes on."""
+        """Returns how the latest step has ended the key frame; None if it has not."""
         limits, env = self._limits, self._env
         if not env.is_blocked:
             self._strained_until = 0.0
@@ -250,17 +250,3 @@ class KeyFrameMotion:
         if left < self._wait + limits.settle_ticks * TICK:
             return None
         return Outcome.STALLED if is_far or is_turned else Outcome.REACHED
-
-
-def path_duration(distance: float, angle: float, limits: MotionLimits) -> float:
-    """Returns the least time [s] of a quintic over a distance [m] and an angle [rad] within the limits.
-
-    Its peaks are at 15/8 d/T and 10/sqrt(3) d/T^2.
-    """
-    return max(
-        1.875 * distance / limits.linear_speed,
-        1.875 * angle / limits.angular_speed,
-        math.sqrt(10 / math.sqrt(3) * distance / limits.linear_acceleration),
-        math.sqrt(10 / math.sqrt(3) * angle / limits.angular_acceleration),
-        TICK,
-    )

@@ -14,6 +14,7 @@ from lerobot_adamanip.contract.rotations import (
     angle_between,
     matrix_from_rotation_vector,
     pose_from_vector,
+    quintic_duration,
     straight_path,
 )
 from lerobot_adamanip.contract.schema import ACTION_DIM
@@ -156,12 +157,9 @@ class ArmDriver:
         limits, start = self._limits, self._kinematics.tcp_in_base(self._target)
         distance = float(np.linalg.norm(goal[:3, 3] - start[:3, 3]))
         angle = angle_between(start[:3, :3], goal[:3, :3])
-        # A quintic over a distance d in a time T has its peaks at 15/8 d/T and 10/sqrt(3) d/T^2.
         seconds = max(
-            1.875 * distance / limits.linear_speed,
-            1.875 * angle / limits.angular_speed,
-            np.sqrt(10 / np.sqrt(3) * distance / limits.linear_acceleration),
-            np.sqrt(10 / np.sqrt(3) * angle / limits.angular_acceleration),
+            quintic_duration(distance, limits.linear_speed, limits.linear_acceleration),
+            quintic_duration(angle, limits.angular_speed, limits.angular_acceleration),
         )
         ticks = max(1, int(np.ceil(seconds / self._dt)))
         times = [k / ticks for k in range(1, ticks + 1)]

@@ -25,7 +25,7 @@ HIGHLIGHT_DOUBLINGS, HIGHLIGHT = 5, 0.05
 GROUND_TILE = 4.0
 """Side length of the ground's texture [m]."""
 _SHADOW_CELLS = 64
-"""Cells along each side of the grid that tells which bodies may hide a point from the light."""
+"""Cells along each side of the grid that shows which bodies may hide a point from the light."""
 _LEVELS = 4096
 _TO_SRGB = (255 * (np.arange(_LEVELS) / (_LEVELS - 1)) ** (1 / 2.2) + 0.5).astype(np.uint8)
 _TO_LIGHTS = [(-np.asarray(way) / np.linalg.norm(way)).astype(np.float32) for way, _ in DIRECTIONAL_LIGHTS]
