@@ -15,6 +15,7 @@ from typing import Annotated, Any
 from lerobot_adamanip.benchmark.paper_rates import SUCCESS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
 from lerobot_adamanip.datasets.collection_spec import LIMITS
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, IMAGE_SIZES, POSES
 from lerobot_adamanip.evaluation.results import NAME
@@ -56,7 +57,8 @@ _POLICY_OPTIONS = listing(text(rf"{_ALLOWED}policy\.[a-z][\w.]*{_VALUE}", "an op
 class Demonstrations:
     """A set of demonstrations of each category; fields as in `lerobot_adamanip.cli.collect.Collect`.
 
-    ``num_points``, ``image_size`` (0: no images), ``poses`` and ``mechanism_rules`` apply to evaluations too.
+    All but the expert's fields apply to evaluations too; ``image_size`` is 0 for no images. ``action``, ``state`` and
+    ``cloud`` are of dense control at 10 Hz.
     """
 
     expert: Annotated[str, choice(EXPERT_KINDS)] = "adaptive"
@@ -67,6 +69,15 @@ class Demonstrations:
     image_size: Annotated[int, integer(0, IMAGE_SIZES[1])] = 0
     poses: Annotated[str, choice(POSES)] = POSES[0]
     mechanism_rules: Annotated[str, choice(tuple(MECHANISM_RULES))] = DEFAULT_MECHANISM_RULES
+    control: Annotated[str, choice(CONTROLS)] = KEYFRAME
+    action: Annotated[str, choice(tuple(ACTION_NAMES))] = EE_DELTA
+    state: Annotated[str, choice(tuple(STATES))] = POSE
+    cloud: Annotated[bool, flag] = False
+
+    @property
+    def is_dense(self) -> bool:
+        """Whether rows are of dense control."""
+        return self.control == DENSE
 
 
 @dataclass(frozen=True, kw_only=True)

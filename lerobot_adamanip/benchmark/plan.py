@@ -295,11 +295,16 @@ def _recording(
         f"--image-size={data.image_size}" if data.image_size else "--no-images",
         f"--poses={data.poses}",
         f"--mechanism-rules={data.mechanism_rules}",
+        *((*_dense_options(data, "--"), "--cloud" if data.cloud else "--no-cloud") if data.is_dense else ()),
         _COLLECTED,
     )
     # Attempts end with the first success, so a higher limit changes no dataset.
     decides = f"{versions.episodes}, {DATA} {versions.data}"
     return _step(kind, command, decides, (f"--max-attempts={_ATTEMPTS}",), needs)
+
+
+def _dense_options(data: Demonstrations, prefix: str) -> tuple[str, ...]:
+    return tuple(f"{prefix}{name}={getattr(data, name)}" for name in ("control", "action", "state"))
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:
@@ -345,6 +350,8 @@ def _evaluation(
     untrained = (f"--policy.type={method.policy}", *method.options)
     trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
+    cloud = f"--env.observe_cloud={'true' if like.cloud else 'false'}"
+    dense = (*_dense_options(like, "--env."), cloud) if like.is_dense else ()
     product = f"{FOLDERS[EVALUATE]}/{_KEY}"
     command = _command(
         "lerobot-eval",
@@ -355,6 +362,7 @@ def _evaluation(
         "--env.split=test",
         f"--env.num_points={like.num_points}",
         *pictures,
+        *dense,
         f"--env.poses={like.poses}",
         f"--env.mechanism_rules={like.mechanism_rules}",
         f"--env.episode_log={product}/{EPISODE_LOG}",

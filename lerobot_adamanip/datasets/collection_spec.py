@@ -104,8 +104,6 @@ class CollectionSpec:
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
-        is_dense = self.environment.is_dense
-        _require(not (self.policy and is_dense), "control", "dense", "keyframe: experts correct key frames", "keyframe")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")
         count = len(self.objects) * self.episodes_per_object

@@ -354,3 +354,15 @@ def test_a_policy_of_others_has_the_version_of_its_package(monkeypatch: pytest.M
     monkeypatch.setattr("importlib.metadata.packages_distributions", lambda: {"their_policies": ["their-lab"]})
     monkeypatch.setattr("importlib.metadata.version", lambda name: "1.0")
     assert policy_package(theirs) == "their-lab 1.0"
+
+
+def test_a_dense_set_of_demonstrations_has_dense_tests_with_the_same_rows() -> None:
+    dense = {"control": "dense", "action": "ee_pose", "state": "full", "cloud": True}
+    chain = steps_of(declared(demonstrations={"adaptive": dense, "static": {}}), "ours")
+    names = ("control", "action", "state")
+    recorded, tested = chain[COLLECT].command, chain[EVALUATE].command
+    assert [option(recorded, f"--{name}") for name in names] == ["dense", "ee_pose", "full"]
+    assert [option(tested, f"--env.{name}") for name in names] == ["dense", "ee_pose", "full"]
+    assert "--cloud" in recorded
+    assert option(tested, "--env.observe_cloud") == "true"
+    assert not any("control" in word for word in steps_of(declared(), "ours")[COLLECT].command)
