@@ -358,11 +358,11 @@ def test_a_policy_of_others_has_the_version_of_its_package(monkeypatch: pytest.M
 
 def test_a_dense_set_of_demonstrations_has_dense_tests_with_the_same_rows() -> None:
     dense = {"control": "dense", "action": "ee_pose", "state": "full", "cloud": True}
-    chain = steps_of(declared(demonstrations={"adaptive": dense, "static": {}}), "ours")
+    chain = steps(declared(demonstrations={"adaptive": dense, "static": {}}))
     names = ("control", "action", "state")
     recorded, tested = chain[COLLECT].command, chain[EVALUATE].command
     assert [option(recorded, f"--{name}") for name in names] == ["dense", "ee_pose", "full"]
     assert [option(tested, f"--env.{name}") for name in names] == ["dense", "ee_pose", "full"]
     assert "--cloud" in recorded
     assert option(tested, "--env.observe_cloud") == "true"
-    assert not any("control" in word for word in steps_of(declared(), "ours")[COLLECT].command)
+    assert not any("control" in word for word in steps()[COLLECT].command)
