@@ -295,7 +295,8 @@ def _recording(
         f"--image-size={data.image_size}" if data.image_size else "--no-images",
         f"--poses={data.poses}",
         f"--mechanism-rules={data.mechanism_rules}",
-        *((*_dense_options(data, "--"), "--cloud" if data.cloud else "--no-cloud") if data.is_dense else ()),
+        *(_dense_options(data, "--") if data.is_dense else ()),
+        *(("--cloud",) if data.is_dense and data.cloud else ()),
         _COLLECTED,
     )
     # Attempts end with the first success, so a higher limit changes no dataset.
