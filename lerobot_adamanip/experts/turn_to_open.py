@@ -14,7 +14,7 @@ import numpy as np
 
 from lerobot_adamanip.contract.keyframes import FOLLOWED, KeyFrames, Phase
 from lerobot_adamanip.experts.belief import Hidden, Knowledge, Parts
-from lerobot_adamanip.experts.primitives import Attempt, Frames, Hand, Opening
+from lerobot_adamanip.experts.primitives import HELD_WITHIN_M, Attempt, Frames, Hand, Opening
 from lerobot_adamanip.objects import PartAnnotation
 
 MAX_MOTIONS = 30
@@ -184,7 +184,7 @@ class TurnToOpenExpert:
         left = (1.0 + TURN_LAG_RATIO) * style.enough - self.direction * start
         goal = start + self.direction * min(ahead, 2 * style.step, max(left, style.step / 2))
         yield from hand.move(self.part, style.key, goal, Phase.UNLOCK)
-        if hand.empty:
+        if hand.empty or hand.slip(self.part, style.key) > HELD_WITHIN_M:
             yield from hand.regrasp(self.part)
             return False
         turned = self.direction * (self.angle - start)

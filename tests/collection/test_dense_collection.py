@@ -34,7 +34,7 @@ from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.datasets.view import read_episode
 from lerobot_adamanip.episode.dense import dense_rollout
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import open_mp4
 from lerobot_env_adamanip import make_environment as factory
 
@@ -134,9 +134,8 @@ def test_pictures_added_later_are_those_of_a_collection_with_pictures(whole: Pat
             np.testing.assert_array_equal(one[key], other[key])
 
 
-def test_corrections_are_refused() -> None:
-    with pytest.raises(ConfigurationError, match="--control keyframe"):
-        dense_spec(policy="a" * 32, expert_share=0.3)
+def test_a_policy_is_corrected_at_control_rate_too() -> None:
+    assert dense_spec(policy="a" * 32, expert_share=0.3).environment.is_dense
 
 
 @pytest.mark.parametrize(

@@ -306,7 +306,7 @@ class ArmDriver:
     def _next_joints(self, goal: Array) -> Array:
         """Returns the next joint targets (7,) on the way to ``goal`` (7,), within the limits of a stream.
 
-        After a stall no joint's lag grows.
+        After a stall the tool's lag does not grow, as in a stream of poses.
         """
         left = goal - self._target
         largest = float(np.abs(left).max())
@@ -315,9 +315,10 @@ class ArmDriver:
         bound = STREAM_JOINT_ACCELERATION * self._dt
         velocity = self._joint_velocity + np.clip(aim - self._joint_velocity, -bound, bound)
         if self.stalled:
-            actual = self._simulation.arm_state().qpos
-            grows = np.abs(self._target + velocity * self._dt - actual) > np.abs(self._target - actual)
-            velocity = np.where(grows, 0.0, velocity)
+            actual = self._kinematics.tcp_in_base(self._simulation.arm_state().qpos)
+            lag = pose_error(actual, self._kinematics.tcp_in_base(self._target))
+            if self._is_farther(self._kinematics.tcp_in_base(self._target + velocity * self._dt), lag):
+                velocity = np.zeros(NUM_ARM_JOINTS)
         self._joint_velocity = velocity
         return self._target + velocity * self._dt
 
