@@ -80,6 +80,8 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
     for name, feature in (policy.input_features or {}).items():
         if name == POINT_CLOUD and name in offered and hasattr(policy, "num_points"):
             continue  # uses the first points of a cloud, and checks their number itself
+        if hasattr(policy, "max_state_dim") and (name == STATE or is_image_column(name)):
+            continue  # SmolVLA and pi0 pad states and resize images, and keep the shapes of their first training
         trained, offer = tuple(feature.shape), offered.get(name)
         if offer is None and name in _OPTIONAL:
             raise ConfigurationError(

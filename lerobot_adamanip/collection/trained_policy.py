@@ -74,6 +74,7 @@ class TrainedPolicy:
     """
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
+        import lerobot.policies  # noqa: F401  (registers LeRobot's own)
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.policies.factory import get_policy_class, make_pre_post_processors
         from lerobot.utils.import_utils import register_third_party_plugins

@@ -186,3 +186,24 @@ def test_without_the_dataset_the_sizes_of_action_and_state_tell(
     message = refuses(ConfigurationError, lambda: evaluate(monkeypatch, path))
     assert "--env.control=dense --env.action=joint --env.state=full" in message
     evaluate(monkeypatch, path, control="dense", action="joint", state="full", fps=25)
+
+
+def test_a_policy_that_pads_states_and_resizes_pictures_keeps_the_shapes_of_its_first_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
+
+    cameras = {f"observation.images.camera{number}": (3, 256, 256) for number in (1, 2, 3)}
+    inputs = {name: PolicyFeature(FeatureType.VISUAL, shape) for name, shape in cameras.items()}
+    inputs[schema.STATE] = PolicyFeature(FeatureType.STATE, (6,))
+    path = tmp_path / "smolvla"
+    path.mkdir()
+    SmolVLAConfig(input_features=inputs, push_to_hub=False, device="cpu")._save_pretrained(path)
+    (path / "train_config.json").write_text(
+        json.dumps({"env": {"type": "adamanip_safe", "control": "dense", "fps": 10}})
+    )
+    dense = {"control": "dense", "observe_images": True, "image_size": 96}
+    names = {"camera_names": ("camera1", "camera2")}
+    evaluate(monkeypatch, path, **dense, **names)
+    with pytest.raises(ConfigurationError, match="other cameras"):
+        evaluate(monkeypatch, path, **dense)

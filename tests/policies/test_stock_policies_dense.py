@@ -22,6 +22,7 @@ MODULES = {
     "adamanip": "lerobot_adamanip.cli.main",
     "lerobot-train": "lerobot.scripts.lerobot_train",
     "lerobot-eval": "lerobot.scripts.lerobot_eval",
+    "lerobot-rollout": "lerobot.scripts.lerobot_rollout",
 }
 FEW = ("--workers=1", "--episodes-per-object=1", "--objects=0:2")
 SHORT = ("--policy.device=cpu", "--env.episode_length=12", "--eval.n_episodes=1", "--eval.batch_size=1")
@@ -40,9 +41,9 @@ POLICIES = {
 """Folder of a documented training -> the options that make its policy tiny."""
 
 
-def documented(program: str, mark: str) -> list[str]:
+def documented(program: str, mark: str, page: str = PAGE) -> list[str]:
     """The page's command of a program that says ``mark``."""
-    pages = [param.values[0] for param in commands(program) if param.id.startswith(PAGE)]
+    pages = [param.values[0] for param in commands(program) if param.id.startswith(page)]
     (words,) = (words for words in pages if any(re.search(rf"{mark}(?!\w)", word) for word in words))
     return words
 
@@ -117,3 +118,12 @@ def test_a_stock_policy_is_corrected(folder: Path) -> None:
     labels, sent = (np.array(table[key].to_pylist()) for key in (schema.ACTION, schema.EXECUTED))
     assert labels.shape[1] == 7
     assert 0.05 < (labels == sent).all(axis=1).mean() < 0.8
+
+
+def test_a_policy_of_simulated_data_drives_the_twin_without_another_option(folder: Path) -> None:
+    train(folder, "bottles_act")
+    command = documented("lerobot-rollout", "outputs/bottles_act", "docs/twin.md")
+    output = run(command, folder, "--policy.device=cpu", "--duration=2")
+    assert "The rollout runs at 10 Hz" in output
+    (line,) = (folder / "outputs" / "twin" / "act.jsonl").read_text().splitlines()
+    assert json.loads(line)["object_id"].startswith("bottle")
