@@ -31,14 +31,17 @@ from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.cli.collect import factories
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.contract.observation import workspace_cloud
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 from lerobot_adamanip.datasets.dataset import open_dataset
+from lerobot_adamanip.episode.dense import dense_rollout
 from lerobot_adamanip.episode.options import CLOUD_SOURCES, EnvironmentOptions
 from lerobot_adamanip.episode.rollout import next_goal
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
+from lerobot_env_adamanip.dense_env import DenseEnv
 from lerobot_env_adamanip.sim.render_device import can_render
 from lerobot_env_adamanip.simulator import make_task
 from lerobot_policy_adamanip import DP3AdaptiveConfig
@@ -46,7 +49,12 @@ from lerobot_policy_adamanip import DP3AdaptiveConfig
 CATEGORY, OBJECTS, SEED = "safe", 4, 2025
 IMAGE_PIXELS = 128
 """Side length of measured images."""
-WORKERS, BATCH_SIZE, STEPS_PER_REPEAT = 2, 64, 20
+WORKERS, BATCH_SIZE, STEPS_PER_REPEAT, TICKS = 2, 64, 20, 100
+PICTURES: dict[str, dict[str, Any]] = {
+    "without_pictures": {"observe_images": False},
+    "with_pictures": {"observe_images": True, "image_size": IMAGE_PIXELS},
+}
+"""Environments at control rate; the second with two cameras."""
 PRESETS = ("diffusion", "fast")
 """Compared presets of dp3_adaptive."""
 LIMITS = {
@@ -55,6 +63,10 @@ LIMITS = {
     "image_ms.raycast.front": ("at most", 15.0),
     "image_ms.raycast.wrist": ("at most", 15.0),
     "action_ms.fast.batch_1": ("at most", 100.0),
+    "dense.collected_per_minute.without_pictures": ("at least", 60.0),
+    "dense.collected_per_minute.with_pictures": ("at least", 20.0),
+    "dense.driven_per_minute.without_pictures": ("at least", 40.0),
+    "dense.driven_per_minute.with_pictures": ("at least", 15.0),
 }
 """Expected values on two CPU cores without a GPU."""
 
@@ -70,10 +82,9 @@ def median_ms(actions: dict[str, Callable[[], object]], repeats: int) -> dict[st
     return {name: round(statistics.median(series[1:]), 3) for name, series in times.items()}
 
 
-def collect_demonstrations(root: Path, per_object: int) -> dict[str, float]:
+def collect_demonstrations(root: Path, per_object: int, environment: EnvironmentOptions) -> dict[str, float]:
     """Collects adaptive demonstrations into ``root``, including the start of the simulators."""
     names = tuple(object_id(CATEGORY, number) for number in range(OBJECTS))
-    environment = EnvironmentOptions(CATEGORY, observe_images=False)
     spec = CollectionSpec(environment, names, episodes_per_object=per_object, seed=SEED)
     summary = collect(root, spec, factories(), CollectOptions(workers=WORKERS))
     return {
@@ -81,6 +92,30 @@ def collect_demonstrations(root: Path, per_object: int) -> dict[str, float]:
         "expert_success_rate": round(summary.success_rate, 4),
         "bytes_per_episode": summary.bytes // max(1, summary.episodes),
     }
+
+
+def dense_rates(root: Path, per_object: int, repeats: int) -> dict[str, float]:
+    """Returns rates at control rate: ticks a second of the simulator alone, and episodes a minute.
+
+    Episodes are collected by `WORKERS` processes, with their start, or driven by the expert in one environment.
+    """
+    rates: dict[str, float] = {}
+    for name, options in PICTURES.items():
+        environment = EnvironmentOptions(CATEGORY, object_id(CATEGORY, 0), control=DENSE, **options)
+        collected = collect_demonstrations(root / name, per_object, environment)
+        rates[f"collected_per_minute.{name}"] = collected["episodes_per_minute"]
+        with contextlib.closing(DenseEnv(options=environment)) as env:
+            env.reset(seed=SEED)
+            begin = time.perf_counter()
+            for seed in range(repeats):
+                observation, _ = env.reset(seed=seed)
+                generator = np.random.default_rng(seed)
+                expert = factories().expert(CATEGORY, "adaptive", env.annotations, generator=generator)
+                dense_rollout(env, observation, expert)
+            rates[f"driven_per_minute.{name}"] = round(60 * repeats / (time.perf_counter() - begin), 2)
+            ticks = median_ms({"ticks": lambda: [env.episode.task.driver.stream_tick() for _ in range(TICKS)]}, repeats)
+            rates["ticks_per_second"] = round(1e3 * TICKS / ticks["ticks"], 2)
+    return rates
 
 
 def steps_per_second(repeats: int) -> float:
@@ -200,7 +235,8 @@ def measure(device: str, quick: bool) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="adamanip-bench-") as folder:
         root = Path(folder) / "demos"
         parts: tuple[Callable[[], dict[str, Any]], ...] = (
-            lambda: collect_demonstrations(root, 1 if quick else 2),
+            lambda: collect_demonstrations(root, 1 if quick else 2, EnvironmentOptions(CATEGORY, observe_images=False)),
+            lambda: {"dense": dense_rates(Path(folder), 1 if quick else 4, repeats)},
             lambda: {"steps_per_second": steps_per_second(3 * repeats)},
             lambda: {"observation_ms": {source: observation_ms(source, 3 * repeats) for source in CLOUD_SOURCES}},
             lambda: {"image_ms": image_ms(9 * repeats)},
@@ -214,6 +250,7 @@ def measure(device: str, quick: bool) -> dict[str, Any]:
         "observation_ms.raycast": results["observation_ms"]["raycast"],
         **{f"image_ms.raycast.{name}": results["image_ms"][f"raycast.{name}"] for name in CAMERAS},
         "action_ms.fast.batch_1": results["action_ms"]["fast.batch_1"],
+        **{f"dense.{name}": rate for name, rate in results["dense"].items()},
     }
     results["limits"] = {
         name: {
