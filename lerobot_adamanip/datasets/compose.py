@@ -24,7 +24,7 @@ from lerobot_adamanip.datasets.opening import as_typed, plain_feature
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
-from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense
+from lerobot_adamanip.hardware.features import ARM, CALIBRATIONS, SAFETY, is_dense
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import read
@@ -42,6 +42,8 @@ def compose(
 ) -> None:
     """Writes a dataset of these episodes and verifies it by reading it back.
 
+    Recordings beside simulated demonstrations lose the column `ARM`, which no policy reads.
+
     Args:
         out: a folder that does not exist.
         pieces: one or more episodes, of datasets with equal features.
@@ -57,7 +59,10 @@ def compose(
 
     sources = list({source.root: source for source, _ in pieces}.values())
     _require_same_calibrations(sources)
-    dataset, lengths = _create(out, sources[0].info, repo_id), []
+    info = dict(sources[0].info)
+    if not all(ARM in source.features for source in sources):
+        info["features"] = {key: feature for key, feature in info["features"].items() if key != ARM}
+    dataset, lengths = _create(out, info, repo_id), []
     schema = get_hf_features_from_features(dataset.meta.features).arrow_schema
     for done, (source, episode) in enumerate(pieces, start=1):
         lengths.append(_append(dataset, schema, source, episode))
@@ -66,7 +71,7 @@ def compose(
     dataset.finalize()
     files.crash_point("dataset written")
     _restore_info(out, sources)
-    _describe(out, pieces, selection)
+    _describe(out, pieces, selection, info["features"])
     files.crash_point("dataset described")
     files.sync_tree(out)
     files.crash_point("dataset synced")
@@ -136,6 +141,7 @@ def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
         details = [source.features[key].get("info") or {} for source in sources]
         if any(details):
             agreed = {name for name, value in details[0].items() if all(each.get(name) == value for each in details)}
+            agreed |= {"video.codec"} & details[0].keys()  # videos of another codec were re-encoded
             feature["info"] = {name: value for name, value in details[0].items() if name in agreed}
     box = sources[0].workspace
     if box != DEFAULT_WORKSPACE and POINT_CLOUD in info["features"]:  # a merged dataset has no manifest
@@ -146,16 +152,16 @@ def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
 
 
-def _describe(out: Path, pieces: Pieces, selection: Selection | None) -> None:
+def _describe(out: Path, pieces: Pieces, selection: Selection | None, features: Mapping[str, Any]) -> None:
     """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
-    write_statistics(out, pieces[0][0].features)
+    write_statistics(out, features)
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]
     columns = pa.concat_tables(rows, promote_options="permissive")
     add_episode_columns(out, columns)
     if cameras := camera_records(columns):
         files.write_atomically(out / "meta" / "cameras.json", cameras_json(cameras))
     first = pieces[0][0]
-    if is_dense(first.features):
+    if is_dense(features):
         _copy(first.root, out, _OF_ROBOT)
     if selection is not None:
         write_selection(out, selection)

@@ -17,8 +17,9 @@ from lerobot_adamanip.util.video import open_mp4
 def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[str, Any], fps: int) -> bytes:
     """Returns a video file with one episode's frames; ``feature`` describes the column, ``row`` the episode.
 
-    Packets are copied without loss. If the episode does not start with a key frame, as after LeRobot's own cutting, its
-    frames are re-encoded with the dataset's settings, see `encoding.encoder_like`.
+    Packets are copied without loss. Frames are re-encoded with the settings of ``feature``, see
+    `encoding.encoder_like`, if its codec is another one, or if the episode does not start with a key frame, as after
+    LeRobot's own cutting.
 
     Raises:
         DatasetError: the video has too few frames, or would be re-encoded and is depth or of an unknown codec.
@@ -30,7 +31,7 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
     span = (round(begin * fps), round(end * fps))
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         cut = Path(scratch) / "episode.mp4"
-        frames = _copied(path, cut, span, fps)
+        frames = _copied(path, cut, span, fps, (feature.get("info") or {}).get("video.codec"))
         if frames is None:
             frames = _encoded_anew(path, cut, span, fps, feature)
         if frames != row["length"]:
@@ -43,14 +44,19 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
         return cut.read_bytes()
 
 
-def _copied(path: Path, out: Path, span: tuple[int, int], fps: int) -> int | None:
-    """Copies the packets of a span of frames; returns their number, or None if the first is not a key frame."""
+def _copied(path: Path, out: Path, span: tuple[int, int], fps: int, codec: str | None = None) -> int | None:
+    """Copies the packets of a span of frames.
+
+    Returns their number, or None if the first is not a key frame, or the video has another codec.
+    """
     import av
 
     first, end = span
     with open_mp4(path) as source, av.open(str(out), "w", options={"movflags": "faststart"}) as target:
         stream: Any = source.streams.video[0]
-        copy = target.add_stream_from_template(stream)
+        if codec not in (None, stream.codec_context.codec.canonical_name):
+            return None
+        copy = target.add_stream_from_template(stream, opaque=True)  # its decoder may have no encoder of that name
         copy.time_base = stream.time_base
         source.seek(round(first / fps / stream.time_base), stream=stream, backward=True)
         packet: Any

@@ -23,6 +23,7 @@ from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import Selection
+from lerobot_adamanip.hardware.features import ARM
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse
@@ -291,11 +292,15 @@ def _require_each_once(sources: Sequence[Dataset]) -> None:
 
 
 def _require_equal_features(sources: Sequence[Dataset]) -> None:
-    """Raises `DatasetError` if types or shapes of features, or frame rates differ; other descriptions may."""
-    kinds = [
-        {"fps": source.fps} | {key: (each["dtype"], tuple(each["shape"])) for key, each in source.features.items()}
-        for source in sources
-    ]
+    """Raises `DatasetError` if types or shapes of features, or frame rates differ; other descriptions may.
+
+    Only recordings have the column `ARM`, which `compose` leaves out beside simulated demonstrations.
+    """
+    kinds = []
+    for source in sources:
+        features = {key: feature for key, feature in source.features.items() if key != ARM}
+        shapes = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in features.items()}
+        kinds.append({"fps": source.fps} | shapes)
     for source, other in zip(sources[1:], kinds[1:], strict=True):
         if differing := sorted(key for key in {**kinds[0], **other} if kinds[0].get(key) != other.get(key)):
             raise DatasetError(

@@ -191,6 +191,7 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     ramp = (np.full((64, 64, 3), 20 * number, np.uint8) for number in range(10))
     write_video(tmp_path / "one_key_frame.mp4", ramp, schema.FPS)
     assert cutting._copied(tmp_path / "one_key_frame.mp4", tmp_path / "other.mp4", (3, 7), schema.FPS) is None
+    assert cutting._copied(file, tmp_path / "third.mp4", (first, first + length), schema.FPS, "av1") is None
     seen = frames(file)
     np.testing.assert_array_equal(frames(tmp_path / "cut.mp4"), seen[first : first + length])
     monkeypatch.setattr(cutting, "_copied", lambda *_: None)

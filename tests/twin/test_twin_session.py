@@ -16,6 +16,7 @@ import pytest
 from check_twin_session import accepted_targets, lines_of, mixed_training
 from lerobot.utils.constants import DEFAULT_FEATURES
 
+from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.contract.dense_codec import pose_of_delta
@@ -101,6 +102,20 @@ def test_a_second_of_the_twin_has_the_columns_of_simulated_demonstrations(short:
     hidden = ("locked", "hidden", "latch", "seed", "success", "stamp", "outcome", "clock")
     read = [name for key in ("observation.state", "action") for name in info["features"][key]["names"]]
     assert not [name for name in read if any(word in name for word in hidden)]
+
+
+@pytest.mark.nightly
+def test_a_recording_merges_with_simulated_demonstrations(short: Path, tmp_path: Path) -> None:
+    simulated, both = tmp_path / "simulated", tmp_path / "both"
+    dense = ("--control", "dense", "--category", "microwave", "--image-size", str(SIZE), "--objects", "0:1")
+    assert main(["collect", str(simulated), *dense, "--episodes-per-object", "1"]) == 0
+    assert main(["merge", str(simulated), str(short), "--out", str(both)]) == 0
+    assert main(["check", str(both)]) == 0
+    info = json.loads((both / "meta" / "info.json").read_text(encoding="utf-8"))
+    assert info["total_episodes"] == 2
+    assert ARM not in info["features"]
+    assert len(rows(both)) == len(rows(short)) + len(rows(simulated))
+    assert not (both / "meta" / "calibrations.json").exists()
 
 
 def test_a_second_of_the_twin_has_the_units_of_simulated_demonstrations(short: Path) -> None:

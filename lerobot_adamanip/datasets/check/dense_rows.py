@@ -14,6 +14,7 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.dense import kind_by_size
 from lerobot_adamanip.hardware.backends.franky_options import JOINT_RANGES
+from lerobot_adamanip.hardware.features import UNLABELLED
 
 Columns = Mapping[str, NDArray[Any]]
 Limits = tuple[NDArray[np.float64], NDArray[np.float64]]
@@ -57,15 +58,17 @@ def _limits(features: Mapping[str, Mapping[str, Any]]) -> dict[str, Limits]:
 
 
 def check_dense_course(where: Rows, first: NDArray[np.bool_], columns: Columns, report: Report) -> None:
-    """Checks recorded episodes: key frames last until their outcome, and failed tries are counted where they end.
+    """Checks episodes: key frames last until their outcome, and failed tries are counted where they end.
 
-    ``first`` marks the first row of each episode.
+    Rows of a robot have no key frames. ``first`` marks the first row of each episode.
     """
     last = np.r_[first[1:], True]
     if schema.OUTCOME in columns:
         ends = columns[schema.OUTCOME] != schema.GOES_ON
         report.add_rows("label", f"{schema.OUTCOME} of the final observation is not -1", where, last & ends)
         follows = ~first & ~np.r_[False, ends[:-1]]
+        if schema.PHASE in columns:
+            follows &= columns[schema.PHASE] != UNLABELLED
         for key in (key for key in (schema.KEY_FRAME, schema.PHASE) if key in columns):
             values = columns[key].reshape(len(where), -1)
             changed = np.r_[False, (values[1:] != values[:-1]).any(axis=1)]
