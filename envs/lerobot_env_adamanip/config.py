@@ -98,6 +98,8 @@ class AdaManipEnvConfig(EnvConfig):
     # Errors of sensors: exact, d435 (a calibrated D435), rough, or one of them with single parts changed, for instance
     # d435,camera_error_mm=20. See docs/sensing.md.
     sensing: str = EXACT
+    # Whether to correct each cloud by the robot's hand in it, whose shape and pose are known.
+    self_calibration: bool = False
     # Rendering device: cuda, cpu, or auto: the first of them that renders on this machine.
     render_backend: str = "auto"
     # Lower corner of the workspace box that crops point clouds: x, y, z in the robot base frame [m].

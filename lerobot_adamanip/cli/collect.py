@@ -107,6 +107,9 @@ class CollectCommand:
     """Errors of sensors. exact: none. d435: a calibrated D435. rough: twice as bad. Single parts may be changed, e.g.
     d435,camera_error_mm=20."""
 
+    self_calibration: bool = False
+    """Correct each cloud by the robot's hand in it, whose shape and pose are known."""
+
     max_failed_tries: str | None = None
     """Maximum failed tries per attempt; the next failed try ends it. A number, or best (worst case of the best strategy
     without the hidden state). Default: no limit."""
@@ -221,6 +224,7 @@ class CollectCommand:
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
             sensing=self.sensing,
+            self_calibration=self.self_calibration,
             max_failed_tries=self.max_failed_tries,
             control=self.control,
             fps=self.fps,

@@ -201,7 +201,7 @@ MANIFEST_FIELDS = (
 """Environment options in a manifest."""
 OF_PICTURES = ("cameras", "image_source")
 """Environment options in a manifest of key frames if they are chosen."""
-OF_SENSORS = {"sensing": EXACT}
+OF_SENSORS = {"sensing": EXACT, "self_calibration": False}
 """Environment options in a manifest if they differ from these defaults."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""

@@ -245,7 +245,10 @@ _DENSE: Mapping[str, Check] = {
 }
 
 
-_SENSORS: Mapping[str, Check] = {"sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts")}
+_SENSORS: Mapping[str, Check] = {
+    "sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts"),
+    "self_calibration": flag,
+}
 
 
 def _environment(name: str, value: Any) -> Any:

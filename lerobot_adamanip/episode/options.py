@@ -71,6 +71,8 @@ class EnvironmentOptions:
         split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
         sensing: errors of sensors, see `lerobot_adamanip.contract.sensing.parse_sensing`.
+        self_calibration: whether clouds are corrected by the hand in them, see
+            `lerobot_adamanip.hardware.calibration.self_calibration`.
         cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
         episode_log: file to which each finished episode appends a line of JSON.
@@ -106,6 +108,7 @@ class EnvironmentOptions:
     split: str = "validation"
     seed_offset: int = 0
     sensing: str = EXACT
+    self_calibration: bool = False
     cloud_source: str = "raycast"
     render_backend: str = "auto"
     episode_log: str | None = None

@@ -21,7 +21,7 @@ _CHANGED: dict[str, Any] = {
     "expert": "static", "expert_strategy": "to_stop", "episodes_per_object": 7, "trials": 2, "seed": 5,
     "late_starts": 0.25, "keep_failed": True, "policy": "a" * 32, "expert_share": 0.75, "num_points": 512,
     "image_size": 32, "observe_images": True, "cloud_source": "render", "poses": "fixed", "mechanism_rules": "hard",
-    "max_failed_tries": "best", "sensing": "d435,camera_error_mm=20",
+    "max_failed_tries": "best", "sensing": "d435,camera_error_mm=20", "self_calibration": True,
 }  # fmt: skip
 """Another value than the default for every field that a command can set."""
 

@@ -12,10 +12,12 @@ from scipy.spatial import cKDTree
 
 from lerobot_adamanip.contract.sensing import LEVELS
 from lerobot_adamanip.experts import Phase, make_expert
+from lerobot_adamanip.hardware.calibration.hand_shape import franka_hand
 from lerobot_adamanip.hardware.camera_frames import simulated_calibration
 from lerobot_adamanip.hardware.depth_cloud import points_in_base
 from lerobot_env_adamanip.dense_env import DenseEnv
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.sim.hand_surface import hand_surface
 
 pytestmark = pytest.mark.sim
 SHIFTED = "exact,camera_error_mm=20"
@@ -135,3 +137,46 @@ def test_clouds_and_images_come_late_in_dense_control() -> None:
     finally:
         late.close()
         now.close()
+
+
+# Self-calibration -----------------------------------------------------------------------------------------------------
+
+
+def off(env: KeyframeEnv) -> float:
+    """Mean distance of corrected points to true ones in the workspace, after the errors of camera and arm [m]."""
+    cameras, workspace = env.episode.task.cameras, env.workspace
+    points = np.random.default_rng(0).uniform(workspace.lower, workspace.upper, (200, 3))
+    error = np.eye(4) if cameras.errors is None else cameras.errors.camera
+    motion = cameras.calibration.correction @ error
+    return float(np.linalg.norm(points @ motion[:3, :3].T + motion[:3, 3] - points, axis=1).mean())
+
+
+@pytest.mark.parametrize(
+    ("sensing", "most"),
+    [("exact", 1.5e-3), ("exact,camera_error_mm=30,camera_error_deg=3", 2e-3), ("d435,arm_error_mm=0", 3e-3)],
+)
+def test_clouds_are_corrected_by_the_hand_in_them(sensing: str, most: float) -> None:
+    env = KeyframeEnv("safe", **SMALL, observe_images=False, sensing=sensing, self_calibration=True)
+    try:
+        for seed in (3, 4):
+            seen = until_held(env, seed, locked=True)
+            assert len(seen) >= 4
+            assert off(env) < most
+            assert env.episode.task.cameras.calibration.frames >= 3
+            again = until_held(env, seed, locked=False)
+            assert [digest(one) for one in seen] == [digest(one) for one in again]
+    finally:
+        env.close()
+
+
+def test_the_real_hands_description_is_that_of_the_simulated_hand(envs: Any) -> None:
+    envs["exact"].reset(seed=0)
+    cameras = envs["exact"].episode.task.cameras
+    mesh, parts = hand_surface(cameras.robot, cameras.urdf), franka_hand()
+    for gripper in (0.0, 1.0):
+        points, (surface, normals) = mesh.at(gripper)[0], parts.at(gripper)
+        nearest = cKDTree(surface).query(points)[1]
+        away = np.abs(((points - surface[nearest]) * normals[nearest]).sum(1))
+        assert np.median(away) < 1e-3
+    outside = np.einsum("ij,ij->i", *(part - part.mean(0) for part in mesh.at(1.0)))
+    assert (outside > 0).mean() > 0.8, "normals point outward"

@@ -20,6 +20,8 @@ from sapien.wrapper.actor_builder import ActorBuilder
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, TOOL
 from lerobot_adamanip.contract.pointcloud import Cloud, depth_size
 from lerobot_adamanip.episode.options import RAYCAST, EnvironmentOptions
+from lerobot_adamanip.hardware.calibration.hand_shape import FINGER_TRAVEL_M
+from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.sim.articulation import add_visual
 from lerobot_env_adamanip.sim.ray_picture import RayPictures
@@ -58,6 +60,7 @@ class Cameras:
         options: image size, workspace, source of clouds, rendering device.
         shader: shader pack of ManiSkill's cameras.
         errors: errors of depth and of reported poses; None without errors.
+        calibration: corrects each cloud by the hand in it; None for clouds as they are reported.
     """
 
     objects: ObjectScene
@@ -67,6 +70,7 @@ class Cameras:
     options: EnvironmentOptions
     shader: str
     errors: SensorErrors | None = None
+    calibration: SelfCalibration | None = None
     _rendered: dict[tuple[str, int], RenderedCamera] = field(default_factory=dict)
 
     def config(self, name: str = FRONT, size: int | None = None) -> CameraConfig:
@@ -100,8 +104,14 @@ class Cameras:
     def points(self) -> Cloud:
         """Returns the present points (M, 3) [m], robot base frame, in scan order, covering at least the workspace."""
         if self.errors is not None:
-            return self.errors.reported(self.rays.points(self.errors.depths), self.tcp_in_base)
-        return self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
+            points = self.errors.reported(self.rays.points(self.errors.depths), self.tcp_in_base)
+        else:
+            points = self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
+        if self.calibration is not None:
+            gripper = float(np.mean(self.robot.get_qpos()[-2:])) / FINGER_TRAVEL_M
+            self.calibration.update(points, self.tcp_in_base, gripper)
+            points = self.calibration.corrected(points)
+        return points
 
     def image(self, name: str = FRONT) -> NDArray[np.uint8]:
         """Returns a camera's present image (H, W, 3) from the source of the options.

@@ -171,6 +171,13 @@ class LinkMesh:
         met: dict[str, Any] = self._scene.run(origins, directions, dists=farthest - near, output=1)
         return met
 
+    def first_hits(
+        self, origins: NDArray[np.float32], direction: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Returns distance (N,) and triangle (N,), or -1, that rays from ``origins`` (N, 3) along (3,) hit first."""
+        met: dict[str, Any] = self._scene.run(origins, _rows(direction, origins), output=1)
+        return np.asarray(met["tfar"], np.float64), np.asarray(met["primID"], np.int64)
+
     def hides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Returns whether rays from ``origins`` (N, 3) along one direction (3,) hit this mesh."""
         hidden: NDArray[np.bool_] = self._scene.run(origins, _rows(direction, origins), query="OCCLUDED") >= 0

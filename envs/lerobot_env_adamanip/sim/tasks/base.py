@@ -16,16 +16,18 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import get_object, select_objects
-from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.seeds import BalancedDraws, Stream, episode_generator
 from lerobot_adamanip.contract.sensing import EXACT, Sensing, parse_sensing
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND, ArmDriver
 from lerobot_env_adamanip.sim.cameras import Cameras
+from lerobot_env_adamanip.sim.hand_surface import hand_surface
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 from lerobot_env_adamanip.sim.placement import Placement, placement_check, randomization
 from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
@@ -202,11 +204,13 @@ class AdaManipTask(BaseEnv):
             limits=self.definition.motion,
         )
         urdf, poses = Path(self.agent.urdf_path), self._camera_poses()
-        self.errors = None
+        self.errors, calibration = None, None
+        if self.options.self_calibration:
+            calibration = SelfCalibration(hand_surface(arm, urdf), np.asarray(poses[FRONT].p, np.float64))
         if self._sensing is not None:
             self.errors = errors = self._draw_errors(self._sensing, self.simulation)
             poses = {name: scene.moved_camera(pose, partial(errors.true_pose, name)) for name, pose in poses.items()}
-        self.cameras = Cameras(self._objects, arm, urdf, poses, self.options, self._shader, self.errors)
+        self.cameras = Cameras(self._objects, arm, urdf, poses, self.options, self._shader, self.errors, calibration)
 
     def _draw_errors(self, sensing: Sensing, simulation: Simulation) -> SensorErrors:
         fps = self.options.fps
