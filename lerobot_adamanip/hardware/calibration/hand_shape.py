@@ -82,11 +82,11 @@ class _Part:
 
     @property
     def _middle(self) -> Array:
-        return (np.asarray(self.lower) + np.asarray(self.upper)) / 2
+        return np.add(self.lower, self.upper, dtype=np.float64) / 2
 
     @property
     def _half(self) -> Array:
-        return (np.asarray(self.upper) - np.asarray(self.lower)) / 2
+        return np.subtract(self.upper, self.lower, dtype=np.float64) / 2
 
 
 _FRANKA_PARTS = (

@@ -20,7 +20,7 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.depth_cloud import points_in_base
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
-MAX_SPEED = 0.02
+MAX_SPEED = 0.05
 """Maximum joint speed of an arm at rest, whose pose is that of the exposure [rad/s]."""
 MIN_POSES = 3
 """Fewest poses of the hand in a calibration."""
