@@ -166,7 +166,7 @@ def test_a_camera_that_was_moved_is_found_by_the_hand_in_its_depth(boxes: Any, c
         camera = CameraOnHand(simulated_calibration(moved.describe()["camera"], "twin"))
         expert = make_expert("safe", "adaptive", moved.env.annotations, generator=np.random.default_rng(0))
         goal = next(expert)
-        for _ in range(4):
+        for _ in range(7):
             play_key_frame(moved, goal.action())
             cameras = moved.env.episode.task.cameras
             assert camera.update(cameras.color_and_depth("raycast")[1], moved.read())
