@@ -70,6 +70,8 @@ def test_json_holds_every_option() -> None:
         ({"split": "dev"}, "validation"),
         ({"seed_offset": -1}, "seed offset"),
         ({"render_backend": "gpu"}, "auto, cpu, cuda"),
+        ({"sensing": "d453"}, "--env.sensing=d435"),
+        ({"sensing": "d435", "cloud_source": "render"}, "cloud_source raycast"),
         ({"workspace": Workspace((0.5, 0.0, 0.0), (0.5, 1.0, 1.0))}, "workspace"),
     ],
 )

@@ -27,6 +27,7 @@ from lerobot_adamanip.contract.schema import (
     STATE_DIM,
 )
 from lerobot_adamanip.contract.seeds import category_offset
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_env_adamanip.sim.render_device import observes_images
@@ -94,6 +95,11 @@ class AdaManipEnvConfig(EnvConfig):
     split: str = "validation"
     # Source of point clouds: raycast (no renderer), or render (ten times slower). The clouds are equal.
     cloud_source: str = "raycast"
+    # Errors of sensors: exact, d435 (a calibrated D435), rough, or one of them with single parts changed, for instance
+    # d435,camera_error_mm=20. See docs/sensing.md.
+    sensing: str = EXACT
+    # Whether to correct each cloud by the robot's hand in it, whose shape and pose are known.
+    self_calibration: bool = False
     # Rendering device: cuda, cpu, or auto: the first of them that renders on this machine.
     render_backend: str = "auto"
     # Lower corner of the workspace box that crops point clouds: x, y, z in the robot base frame [m].

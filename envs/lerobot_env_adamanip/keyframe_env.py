@@ -326,7 +326,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     def observe(self) -> Observation:
         """Returns the present observation."""
         task, spaces = self.episode.task, self._spaces
-        images = {name: task.cameras.image(name) for name in spaces.get("pixels", {})}
+        errors, images = task.errors, {name: task.cameras.image(name) for name in spaces.get("pixels", {})}
+        if errors is not None:
+            images = errors.delayed("pixels", images)
         self._image = images.get(FRONT)
         arm, feedback = task.simulation.arm_state(), task.driver.feedback
         observation: Observation = {}
@@ -335,11 +337,13 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         else:
             observation["agent_pos"] = pose_state(feedback.tcp_in_base, feedback.gripper)
         if "effort" in spaces:
-            observation["effort"] = task.driver.effort.astype(np.float32)
+            effort = task.driver.effort if errors is None else errors.effort(task.driver.effort)
+            observation["effort"] = effort.astype(np.float32)
         for key, values in observation.items():  # a simulated collision may give any effort
             observation[key] = np.clip(values, spaces[key].low, spaces[key].high)
         if "point_cloud" in spaces:
-            observation["point_cloud"] = workspace_cloud(task.cameras.points(), self.workspace, self.num_points)
+            cloud = workspace_cloud(task.cameras.points(), self.workspace, self.num_points)
+            observation["point_cloud"] = cloud if errors is None else errors.delayed("point_cloud", cloud)
         return {**observation, "pixels": images} if images else observation
 
     def render(self) -> NDArray[np.uint8]:

@@ -25,11 +25,14 @@ ENOUGH_PICTURES = 20
 
 @dataclass
 class CalibrateCommand:
-    """Calibrate a camera's pose from pictures of a ChArUco board at poses of the arm.
+    """Calibrate a camera's pose from pictures of a ChArUco board at poses of the arm, or of the hand (--on-robot).
 
     Print the board first (--board-image). Fix it to the hand for a camera beside the robot, or to the table for a
     camera on the hand. Take 20 pictures (--record), with the hand tilted to all sides by 20 degrees and more. Without
     --record, the command uses the pictures in the folder.
+
+    A camera with depth beside the robot, calibrated before and moved by at most 30 mm and 3 degrees, needs no board:
+    adamanip calibrate --on-robot --record robot.json --out FILE.
     """
 
     folder: tyro.conf.Positional[Path | None] = None
@@ -43,6 +46,9 @@ class CalibrateCommand:
 
     record: Path | None = None
     """Take pictures first, with the robot of this JSON file. It holds the --robot.* options."""
+
+    on_robot: bool = False
+    """Correct the calibration by the robot's own hand in depth pictures, without a board (with --record)."""
 
     mounting: Literal["fixed", "wrist"] = "fixed"
     """Mounting of the camera (with --record): beside the robot, or on its hand."""
@@ -69,11 +75,13 @@ class CalibrateCommand:
         """Prints, records, solves and writes. Returns 0."""
         if self.board_image is not None:
             return self._print_board(self.board_image)
+        if self.on_robot:
+            return self._on_robot()
         if self.folder is None:
             raise ConfigurationError(
                 "No folder of pictures.",
                 got="neither a folder nor --board-image",
-                allowed="adamanip calibrate FOLDER",
+                allowed="adamanip calibrate FOLDER, or --on-robot",
                 hint="adamanip calibrate --board-image board.png",
             )
         from lerobot_adamanip.hardware.calibration.hand_eye import solve
@@ -88,6 +96,40 @@ class CalibrateCommand:
         if self.out is not None:
             save_calibration(self.out, self.key, folder.calibration(solved), facts)
         self._print(solved, facts)
+        return 0
+
+    def _on_robot(self) -> int:
+        from lerobot_adamanip.hardware.calibration.on_hand import calibrate_on_hand
+        from lerobot_adamanip.hardware.calibration.views import robot_from_file
+        from lerobot_adamanip.hardware.camera_frames import save_calibration
+        from lerobot_adamanip.hardware.closing import closing_on_error
+
+        if self.record is None:
+            raise ConfigurationError(
+                "No robot to calibrate on.",
+                got="--on-robot without --record",
+                allowed="--record FILE with the --robot.* options as JSON",
+                hint="adamanip calibrate --on-robot --record robot.json --out FILE",
+            )
+        robot = robot_from_file(self.record)
+        robot.connect(calibrate=False)
+        with closing_on_error(robot.disconnect):
+            on_hand = calibrate_on_hand(robot, self.key, _wants_picture, self._say)
+        robot.disconnect()
+        estimate = on_hand.estimate
+        facts: dict[str, float | str] = {
+            "date": datetime.now(UTC).isoformat(timespec="seconds"),
+            "method": "on the robot's hand",
+            "poses": estimate.frames,
+            "moved_mm": 1e3 * estimate.moved_by_m,
+            "uncertainty_mm": 1e3 * estimate.uncertainty_m,
+            "lerobot_adamanip": lerobot_adamanip.__version__,
+        }
+        if self.out is not None:
+            save_calibration(self.out, self.key, on_hand.corrected(), facts)
+        written = "" if self.out is None else f"\nwritten: {self.out}, camera {self.key}"
+        text = f"{estimate.frames} poses: moved by {facts['moved_mm']:.1f} mm, +- {facts['uncertainty_mm']:.1f} mm"
+        print_result(self.json, {**facts, "out": self.out}, text + written)
         return 0
 
     def _print_board(self, path: Path) -> int:

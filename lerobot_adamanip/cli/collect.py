@@ -14,6 +14,7 @@ from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_r
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -101,6 +102,13 @@ class CollectCommand:
     mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
     """Rules of mechanisms. paper: as in the paper's text. upstream: its released code, other for safes. hard: drawn
     directions for pressure cookers and coffee makers too."""
+
+    sensing: str = EXACT
+    """Errors of sensors. exact: none. d435: a calibrated D435. rough: twice as bad. Single parts may be changed, e.g.
+    d435,camera_error_mm=20."""
+
+    self_calibration: bool = False
+    """Correct each cloud by the robot's hand in it, whose shape and pose are known."""
 
     max_failed_tries: str | None = None
     """Maximum failed tries per attempt; the next failed try ends it. A number, or best (worst case of the best strategy
@@ -215,6 +223,8 @@ class CollectCommand:
             cloud_source=self.cloud_source,
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
+            sensing=self.sensing,
+            self_calibration=self.self_calibration,
             max_failed_tries=self.max_failed_tries,
             control=self.control,
             fps=self.fps,

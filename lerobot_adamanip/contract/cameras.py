@@ -36,6 +36,8 @@ WRIST = "wrist"
 """Camera on the hand, which sees the fingers and what they hold."""
 HAND = "panda_hand"
 """Link of the Franka Hand: z to the fingertips, 0.1034 m away at the tool's centre, y along the fingers' motion."""
+TOOL = "panda_hand_tcp"
+"""Link at the tool's centre, with the axes of the hand."""
 CAMERAS = {
     # Third person, beside and above the arm (paper: one camera adjacent to the robot).
     FRONT: CameraView((0.0, -0.58, 1.16), (0.60, 0.02, 0.70), math.radians(52)),

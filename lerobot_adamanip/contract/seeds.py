@@ -41,11 +41,15 @@ class Stream(enum.IntEnum):
     LATE_EXPERT = 6
     CORRECTION = 7
     RETRY = 8
+    SENSING = 9
 
 
-def episode_generator(seed: int, stream: Stream, category: str) -> np.random.Generator:
-    """Returns the generator of one stream. Streams and categories differ in all numbers, also for equal seeds."""
-    return np.random.default_rng([seed, stream, list(CATEGORIES).index(category)])
+def episode_generator(seed: int, stream: Stream, category: str, *moment: int) -> np.random.Generator:
+    """Returns the generator of one stream. Streams and categories differ in all numbers, also for equal seeds.
+
+    With a ``moment``, one or more numbers above 0, it is the generator of a moment of the episode.
+    """
+    return np.random.default_rng([seed, stream, list(CATEGORIES).index(category), *moment])
 
 
 class BalancedDraws:

@@ -29,7 +29,13 @@ from lerobot_adamanip.contract.control import (
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
-from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, OF_PICTURES, CollectionSpec, manifest_path
+from lerobot_adamanip.datasets.collection_spec import (
+    MANIFEST_FIELDS,
+    OF_PICTURES,
+    OF_SENSORS,
+    CollectionSpec,
+    manifest_path,
+)
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection, kind_by_size
 from lerobot_adamanip.datasets.episode import EpisodeDescription
@@ -362,6 +368,8 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     values |= {item.name: getattr(spec, item.name) for item in dataclasses.fields(spec) if item.name not in values}
     values |= {name: getattr(environment, name) for name in MANIFEST_FIELDS if name not in PYTHON_ONLY}
     values |= {name: getattr(environment, name) for name in OF_PICTURES}
+    sensed = {name: getattr(environment, name) for name in OF_SENSORS}
+    values |= {name: value for name, value in sensed.items() if value != OF_SENSORS[name]}
     if environment.is_dense:
         values |= {name: getattr(environment, name) for name in ("control", "fps", "action", "state")}
         values |= {"cloud": environment.observe_cloud, "effort": environment.observe_effort}

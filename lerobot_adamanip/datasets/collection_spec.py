@@ -14,6 +14,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
 from lerobot_adamanip.contract.seeds import SPLITS
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.output_folder import COLLECTING
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts, to_stored
 from lerobot_adamanip.experts import EXPERT_KINDS, EXPERT_STRATEGIES
@@ -174,7 +175,8 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
     more = DENSE_FIELDS if environment.is_dense else tuple(name for name in OF_PICTURES if plain[name] is not None)
-    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more)})
+    sensed = tuple(name for name, default in OF_SENSORS.items() if plain[name] != default)
+    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more, *sensed)})
 
 
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
@@ -199,6 +201,8 @@ MANIFEST_FIELDS = (
 """Environment options in a manifest."""
 OF_PICTURES = ("cameras", "image_source")
 """Environment options in a manifest of key frames if they are chosen."""
+OF_SENSORS = {"sensing": EXACT, "self_calibration": False}
+"""Environment options in a manifest if they differ from these defaults."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (

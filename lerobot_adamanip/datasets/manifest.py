@@ -23,6 +23,7 @@ from lerobot_adamanip.datasets.collection_spec import (
     MAX_EPISODES,
     MAX_OBJECTS,
     OF_PICTURES,
+    OF_SENSORS,
     CollectionPaths,
     CollectionSpec,
     environment_json,
@@ -244,11 +245,18 @@ _DENSE: Mapping[str, Check] = {
 }
 
 
+_SENSORS: Mapping[str, Check] = {
+    "sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts"),
+    "self_calibration": flag,
+}
+
+
 def _environment(name: str, value: Any) -> Any:
     """Checks the options of the environments: those of dense control are there for it alone."""
     fields = value if isinstance(value, Mapping) else {}
     names = _DENSE if "control" in fields else [key for key in OF_PICTURES if key in fields]
-    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}})(name, value)
+    sensors = {key: _SENSORS[key] for key in OF_SENSORS if key in fields}
+    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}, **sensors})(name, value)
 
 
 _COLLECTION: Mapping[str, Check] = {

@@ -13,6 +13,7 @@ from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
+from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 POSES = ("randomized", "fixed")
@@ -69,6 +70,9 @@ class EnvironmentOptions:
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
+        sensing: errors of sensors, see `lerobot_adamanip.contract.sensing.parse_sensing`.
+        self_calibration: whether clouds are corrected by the hand in them, see
+            `lerobot_adamanip.hardware.calibration.self_calibration`.
         cloud_source: see `CLOUD_SOURCES`.
         render_backend: see `RENDER_BACKENDS`.
         episode_log: file to which each finished episode appends a line of JSON.
@@ -103,6 +107,8 @@ class EnvironmentOptions:
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
     split: str = "validation"
     seed_offset: int = 0
+    sensing: str = EXACT
+    self_calibration: bool = False
     cloud_source: str = "raycast"
     render_backend: str = "auto"
     episode_log: str | None = None
@@ -129,6 +135,9 @@ class EnvironmentOptions:
         require_choice("mechanism rules", self.mechanism_rules, MECHANISM_RULES)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
+        object.__setattr__(self, "sensing", "".join(self.sensing.lower().split()))
+        if self.sensing != EXACT:
+            _check_sensing(self.sensing, self.cloud_source)
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
         require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
         require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
@@ -237,6 +246,17 @@ def _workspace(corners: Mapping[str, Any]) -> Workspace:
     for name in corners:
         require_choice("corner of a workspace", name, ("lower", "upper"))
     return Workspace(**{name: tuple(corner) for name, corner in corners.items()})
+
+
+def _check_sensing(sensing: str, cloud_source: str) -> None:
+    parse_sensing(sensing)
+    if cloud_source != RAYCAST:
+        raise ConfigurationError(
+            "Rendered clouds have no sensor errors.",
+            got=f"sensing={sensing!r} with cloud_source={cloud_source!r}",
+            allowed=f"cloud_source {RAYCAST}, or sensing {EXACT}",
+            hint=f"--env.cloud_source={RAYCAST}",
+        )
 
 
 def _check_workspace(box: Workspace) -> None:

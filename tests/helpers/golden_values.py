@@ -168,7 +168,7 @@ def _streams() -> str:
     drawn = [
         episode_generator(seed, stream, category).random(4)
         for seed in SEEDS
-        for stream in Stream
+        for stream in list(Stream)[: Stream.SENSING]  # later ones decide nothing by default
         for category in CATEGORIES
     ]
     return digest(drawn)

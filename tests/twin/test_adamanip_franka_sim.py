@@ -18,6 +18,7 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES, SUCCESS
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, ArmStatus, Execution, ServerOptions
+from lerobot_adamanip.hardware.calibration.on_hand import CameraOnHand
 from lerobot_adamanip.hardware.camera_frames import Frame
 from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, STAMP_NAME
 from lerobot_adamanip.hardware.robot_registry import OPERATOR_SUCCESS, RESET_WANTED, ROBOTS
@@ -176,6 +177,28 @@ def test_lockstep_tells_time_by_steps_and_looks_once_a_step(make: Any, process: 
         robot.send_action(action(robot, 0.001 * number))
     np.testing.assert_allclose(np.diff(stamps), 1 / 30, atol=1e-9)
     assert process.looks - before <= 4
+
+
+def test_depth_corrects_the_calibration_until_the_scene_changes(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    moved, depths = transform((0.0, 0.01, 0.0)), list[Any]()
+
+    def update(camera: CameraOnHand, depth: Any, reading: ArmReading) -> bool:
+        depths.append(depth.shape)
+        camera.estimate.correction = moved @ camera.estimate.correction
+        return True
+
+    monkeypatch.setattr(CameraOnHand, "update", update)
+    for wanted in (False, True):
+        robot = make(cameras={"front": AdamanipTwinConfig(use_depth=True)}, depth=True, self_calibration=wanted)
+        positions = []
+        for _ in range(2):
+            robot.get_observation()
+            positions.append(robot.session.calibrations["front"].depth_in_base[1, 3])
+        assert positions == pytest.approx([0.01, 0.02] if wanted else [0.0, 0.0])
+        robot.put_up(7)
+        assert robot.session.calibrations["front"].depth_in_base[1, 3] == 0.0
+        robot.disconnect()
+    assert depths == [(16, 16)] * 2
 
 
 def test_success_after_an_action_is_a_label_of_the_twin_or_the_operator(make: Any, process: FakeProcess) -> None:

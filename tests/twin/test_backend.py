@@ -17,6 +17,8 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.hardware.arm import ArmMode, ArmTarget, Execution
 from lerobot_adamanip.hardware.arm_process.mailbox import create_memory, map_mailboxes
+from lerobot_adamanip.hardware.calibration.on_hand import CameraOnHand
+from lerobot_adamanip.hardware.camera_frames import simulated_calibration
 from lerobot_adamanip.util.errors import RobotError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.sim.cameras import Cameras, Pair
@@ -152,6 +154,29 @@ def test_colour_and_depth_are_one_picture_and_rays_agree(twin: SapienBackend, bo
     assert both.mean() > 0.2
     apart = np.abs(frame.depth.astype(int) - depth.astype(int))[both]
     assert np.percentile(apart, 90) <= 1
+
+
+def test_a_camera_that_was_moved_is_found_by_the_hand_in_its_depth(boxes: Any, caplog: Any) -> None:
+    environment = EnvironmentOptions(
+        "safe", image_size=240, observe_images=False, sensing="exact,camera_error_mm=15,camera_error_deg=1"
+    )
+    moved = SapienBackend(TwinOptions(environment, seed=SEED, image_source="raycast", lockstep=True), boxes)
+    moved.connect()
+    try:
+        camera = CameraOnHand(simulated_calibration(moved.describe()["camera"], "twin"))
+        expert = make_expert("safe", "adaptive", moved.env.annotations, generator=np.random.default_rng(0))
+        goal = next(expert)
+        for _ in range(7):
+            play_key_frame(moved, goal.action())
+            cameras = moved.env.episode.task.cameras
+            assert camera.update(cameras.color_and_depth("raycast")[1], moved.read())
+            goal = expert.send(moved.env.feedback)
+        assert "stands 1" in caplog.messages[-1]
+        middle = np.array([0.55, 0.0, 0.765, 1.0])
+        left = camera.estimate.correction @ cameras.errors.camera @ middle - middle
+        assert np.linalg.norm(left) < 6e-3
+    finally:
+        moved.close()
 
 
 @pytest.mark.parametrize("name", CAMERAS)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import logging
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,11 @@ from mani_skill.utils.building.ground import build_ground
 from numpy.typing import NDArray
 from sapien.wrapper.actor_builder import ActorBuilder
 
-from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, TOOL
 from lerobot_adamanip.contract.pointcloud import Cloud, depth_size
 from lerobot_adamanip.episode.options import RAYCAST, EnvironmentOptions
+from lerobot_adamanip.hardware.calibration.hand_shape import FINGER_TRAVEL_M
+from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.util.errors import SimulatorError
 from lerobot_env_adamanip.sim.articulation import add_visual
 from lerobot_env_adamanip.sim.ray_picture import RayPictures
@@ -36,6 +38,7 @@ from lerobot_env_adamanip.sim.raycast import (
 )
 from lerobot_env_adamanip.sim.renderer import empty_scene, without_reflections
 from lerobot_env_adamanip.sim.scene import ObjectScene, add_lights, camera_config
+from lerobot_env_adamanip.sim.sensing import SensorErrors
 from lerobot_env_adamanip.sim.triangles import robot_outlines
 
 Pair = tuple[NDArray[np.uint8], NDArray[np.uint16]]
@@ -53,9 +56,11 @@ class Cameras:
         objects: bodies of the scene, except arm and ground.
         robot: SAPIEN articulation of the arm.
         urdf: its URDF.
-        poses: camera -> its pose in the frame of its link.
+        poses: camera -> its true pose in the frame of its link.
         options: image size, workspace, source of clouds, rendering device.
         shader: shader pack of ManiSkill's cameras.
+        errors: errors of depth and of reported poses; None without errors.
+        calibration: corrects each cloud by the hand in it; None for clouds as they are reported.
     """
 
     objects: ObjectScene
@@ -64,6 +69,8 @@ class Cameras:
     poses: Mapping[str, sapien.Pose]
     options: EnvironmentOptions
     shader: str
+    errors: SensorErrors | None = None
+    calibration: SelfCalibration | None = None
     _rendered: dict[tuple[str, int], RenderedCamera] = field(default_factory=dict)
 
     def config(self, name: str = FRONT, size: int | None = None) -> CameraConfig:
@@ -80,6 +87,11 @@ class Cameras:
         link = CAMERAS[name].link
         return self._links[link] if link else None
 
+    @property
+    def tcp_in_base(self) -> NDArray[np.float64]:
+        """Present pose (4, 4) of the tool, robot base frame."""
+        return np.asarray(self._links[TOOL].pose.to_transformation_matrix(), np.float64)
+
     @functools.cached_property
     def _links(self) -> dict[str, Any]:
         return {link.entity.name: link.entity for link in self.robot.links}
@@ -91,7 +103,15 @@ class Cameras:
 
     def points(self) -> Cloud:
         """Returns the present points (M, 3) [m], robot base frame, in scan order, covering at least the workspace."""
-        return self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
+        if self.errors is not None:
+            points = self.errors.reported(self.rays.points(self.errors.depths), self.tcp_in_base)
+        else:
+            points = self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
+        if self.calibration is not None:
+            gripper = float(np.mean(self.robot.get_qpos()[-2:])) / FINGER_TRAVEL_M
+            self.calibration.update(points, self.tcp_in_base, gripper)
+            points = self.calibration.corrected(points)
+        return points
 
     def image(self, name: str = FRONT) -> NDArray[np.uint8]:
         """Returns a camera's present image (H, W, 3) from the source of the options.
@@ -122,20 +142,24 @@ class Cameras:
     def color_and_depth(self, source: str = "render") -> Pair:
         """Returns the front camera's present colour and depth, of one moment.
 
-        ``source`` is ``render`` or ``raycast``. Without a renderer, always ``raycast``.
+        ``source`` is ``render`` or ``raycast``. Without a renderer, always ``raycast``. Depth with errors is ray-cast.
         """
-        if source == "render" and (rendered := self._front) is not None:
+        rendered = self._front if source == "render" else None
+        if rendered is not None and self.errors is None:
             return rendered.color_and_depth()
         size = self.options.image_size
-        pixels, millimetres = self._wide_rays.pixels()
+        pixels, millimetres = self._wide_rays.pixels(None if self.errors is None else self.errors.depths)
         depth = np.zeros(size * size, np.uint16)
         depth[pixels] = -millimetres[:, 2]
-        return self.raycast_image(), depth.reshape(size, size)
+        return self.raycast_image() if rendered is None else rendered.take(), depth.reshape(size, size)
 
     @functools.cached_property
     def rays(self) -> RaycastSensor:
         """Ray-cast front camera of the workspace."""
-        return RaycastSensor(self.cloud_config, self.bodies, self.options.workspace)
+        workspace = self.options.workspace
+        return RaycastSensor(
+            self.cloud_config, self.bodies, workspace if self.errors is None else self.errors.around(workspace)
+        )
 
     @functools.cached_property
     def _wide_rays(self) -> RaycastSensor:
@@ -171,8 +195,11 @@ class Cameras:
         return visible_bodies(self.objects.visible, self.robot, self.urdf)
 
     def parameters(self) -> dict[str, Any]:
-        """Returns the front camera's calibration for its image, see `camera_parameters`."""
-        return camera_parameters(pinhole(self.config()))
+        """Returns the front camera's calibration for its image as it is reported, see `camera_parameters`."""
+        camera = pinhole(self.config())
+        return camera_parameters(
+            camera if self.errors is None else replace(camera, pose=self.errors.camera @ camera.pose)
+        )
 
 
 class RenderedScene:

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dposv
 
+from lerobot_adamanip.contract.cameras import TOOL
 from lerobot_adamanip.contract.rotations import rotation_vector_from_matrix
 
 if TYPE_CHECKING:  # so that driver and placement presets can be imported and tested without a simulator
@@ -87,7 +88,7 @@ class ArmKinematics:
         self,
         articulation: sapien.physx.PhysxArticulation,
         rest: Array = LEVEL_REST,
-        tcp_link: str = "panda_hand_tcp",
+        tcp_link: str = TOOL,
     ) -> None:
         self.rest = rest
         self._model: Any = articulation.create_pinocchio_model()

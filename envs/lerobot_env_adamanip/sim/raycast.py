@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -171,6 +171,13 @@ class LinkMesh:
         met: dict[str, Any] = self._scene.run(origins, directions, dists=farthest - near, output=1)
         return met
 
+    def first_hits(
+        self, origins: NDArray[np.float32], direction: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+        """Returns distance (N,) and triangle (N,), or -1, that rays from ``origins`` (N, 3) along (3,) hit first."""
+        met: dict[str, Any] = self._scene.run(origins, _rows(direction, origins), output=1)
+        return np.asarray(met["tfar"], np.float64), np.asarray(met["primID"], np.int64)
+
     def hides(self, origins: NDArray[np.float32], direction: NDArray[np.float32]) -> NDArray[np.bool_]:
         """Returns whether rays from ``origins`` (N, 3) along one direction (3,) hit this mesh."""
         hidden: NDArray[np.bool_] = self._scene.run(origins, _rows(direction, origins), query="OCCLUDED") >= 0
@@ -235,7 +242,7 @@ class RayScene:
     """Depth of the workspace in one camera's image, link by link. Casts only the K rays that pass the workspace."""
 
     def __init__(self, camera: PinholeCamera, workspace: Workspace, beside: tuple[float, float] = (0.0, 0.0)) -> None:
-        self._camera = camera
+        self.camera = camera
         into_camera = camera.world_to_camera
         self._rotation, self._shift = into_camera[:3, :3], into_camera[:3, 3]
         rays = camera.rays(beside)
@@ -270,6 +277,13 @@ class RayScene:
             if len(slots):
                 depth[slots] = self._depths(mesh, view, slots, farthest)
 
+    def triangles(self, mesh: LinkMesh, pose: Pose, slots: Slots) -> NDArray[np.int64]:
+        """Returns the triangle of one link at ``pose`` (4, 4), world frame, that each of the rays (M,) hits."""
+        view = self._view(mesh, pose)
+        directions = self.rays.take(slots, axis=0) @ view.rotation.astype(np.float32)
+        hits = mesh.hits(-view.shift @ view.rotation, directions, self._farthest[slots], 0.0)
+        return np.asarray(hits["primID"], np.int64)
+
     def met(self, depth: Depth) -> Slots:
         """Returns the rays (M,) with a hit inside the workspace, from the depths (K,) of all rays."""
         return np.flatnonzero(depth < self._farthest)
@@ -277,7 +291,7 @@ class RayScene:
     def _view(self, mesh: LinkMesh, pose: Pose) -> _View:
         rotation, shift = self._rotation @ pose[:3, :3], self._rotation @ pose[:3, 3] + self._shift
         corners = mesh.corners @ rotation.T + shift
-        slots = pixels_within(self._slots, self._camera.rectangles(corners))
+        slots = pixels_within(self._slots, self.camera.rectangles(corners))
         return _View(slots[slots >= 0], rotation, shift, float(-corners[:, 2].max()))
 
     def _depths(self, mesh: LinkMesh, view: _View, slots: Slots, farthest: Depth) -> Depth:
@@ -357,6 +371,10 @@ def _robot_meshes(urdf: Path) -> Mapping[str, LinkMesh]:
     return {name: LinkMesh(triangles) for name, triangles in robot_triangles(urdf).items()}
 
 
+Measure = Callable[[Depth, "RaycastSensor"], Depth]
+"""Turns the exact depths (K,) [m] of a sensor's rays into measured ones; infinity where it measures none."""
+
+
 class RaycastSensor:
     """Depth camera of the workspace. ``beside`` is the offset of rays right of and below the pixel's middle [px]."""
 
@@ -367,34 +385,48 @@ class RaycastSensor:
         workspace: Workspace,
         beside: tuple[float, float] = (0.0, 0.0),
     ) -> None:
-        self._camera = pinhole(config)
-        self._scene = RayScene(self._camera, workspace, beside)
+        self.scene = RayScene(pinhole(config), workspace, beside)
         bodies = tuple(bodies)
         self._resting = tuple(body for body in bodies if body.rests)
         self._moving = tuple(body for body in bodies if not body.rests)
         self._hits: list[tuple[Pose, tuple[Slots, Depth]] | None] = [None] * len(self._resting)
-        self._behind = self._scene.empty()
+        self._behind = self.scene.empty()
 
-    def points(self) -> Cloud:
-        """Returns (M, 3) [m], robot base frame, in scan order: ray hits in or near the workspace."""
-        millimetres = self.pixels()[1]
-        return points_in_world(millimetres * np.float32(1e-3), self._camera.pose)
+    def points(self, measure: Measure | None = None) -> Cloud:
+        """Returns (M, 3) [m], robot base frame, in scan order: ray hits in or near the workspace, see `pixels`."""
+        millimetres = self.pixels(measure)[1]
+        return points_in_world(millimetres * np.float32(1e-3), self.scene.camera.pose)
 
-    def pixels(self) -> tuple[Slots, Cloud]:
-        """Returns pixels (M,), as indices in scan order, and their points (M, 3), camera frame, in whole mm."""
+    def pixels(self, measure: Measure | None = None) -> tuple[Slots, Cloud]:
+        """Returns pixels (M,), as indices in scan order, and their points (M, 3), camera frame, in whole mm.
+
+        ``measure`` returns the depths (K,) of all rays as a sensor measures them; without it they are exact.
+        """
         changed = False
         for index, body in enumerate(self._resting):
             pose, known = body.pose(), self._hits[index]
             if known is None or not np.array_equal(pose, known[0]):
-                self._hits[index] = pose, self._scene.hits(body.mesh, pose)
+                self._hits[index] = pose, self.scene.hits(body.mesh, pose)
                 changed = True
         if changed:  # a resting body has moved
-            self._behind = self._scene.empty()
+            self._behind = self.scene.empty()
             for _, (slots, depths) in filter(None, self._hits):
                 self._behind[slots] = np.minimum(self._behind[slots], depths)
         depth = self._behind.copy()
-        self._scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
-        met = self._scene.met(depth)
+        self.scene.cast([(body.mesh, body.pose()) for body in self._moving], depth)
+        if measure is not None:
+            depth = measure(depth, self)
+        met = self.scene.met(depth)
         # Truncated towards the camera, as in ManiSkill's position image, so that both sources are interchangeable.
-        points = self._scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
-        return self._scene.pixels[met], np.trunc(points, out=points)
+        points = self.scene.rays.take(met, axis=0) * (np.float32(1e3) * depth[met])[:, None]
+        return self.scene.pixels[met], np.trunc(points, out=points)
+
+    def resting_surfaces(self, depth: Depth) -> Iterator[tuple[Body, Slots, NDArray[np.int64]]]:
+        """Yields each resting body, the rays (M,) that end on it, and the triangle that each of them hits.
+
+        ``depth`` (K,) is the exact depth of all rays.
+        """
+        for body, (pose, (slots, depths)) in zip(self._resting, filter(None, self._hits), strict=True):
+            ending = slots[(depths <= depth[slots]) & (depths < self.scene.empty()[slots])]
+            triangles = self.scene.triangles(body.mesh, pose, ending)
+            yield body, ending[triangles >= 0], triangles[triangles >= 0]

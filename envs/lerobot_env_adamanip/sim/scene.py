@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import itertools
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,6 +121,11 @@ def draw_cameras(rng: np.random.Generator, shift: float) -> dict[str, sapien.Pos
         target = np.asarray(view.target) + view.spread * rng.uniform(-shift, shift, 3)
         poses[name] = sapien_utils.look_at(eye, target, view.up).sp
     return poses
+
+
+def moved_camera(pose: sapien.Pose, move: Callable[[NDArray[np.float64]], NDArray[np.float64]]) -> sapien.Pose:
+    """Returns a camera's pose after a motion of its matrix (4, 4)."""
+    return sapien.Pose(move(np.asarray(pose.to_transformation_matrix(), np.float64)))
 
 
 def camera_config(name: str, pose: sapien.Pose, size: int, shader: str, mount: Any = None) -> CameraConfig:

@@ -91,6 +91,7 @@ class SapienBackend:
         """Returns the state after the latest tick. The stamp is this machine's time."""
         task = self.env.episode.task
         measured, joints = task.driver.measured(), task.simulation.arm_state()
+        effort = task.driver.effort if task.errors is None else task.errors.effort(task.driver.effort)
         moves = self._motion is not None or bool(np.abs(joints.qvel).max() > MOVING)
         return ArmReading(
             stamp=time.perf_counter() if self._options.lockstep else min(self._ticked, time.perf_counter()),
@@ -99,7 +100,7 @@ class SapienBackend:
             gripper=float(np.clip(measured.gripper, 0.0, 1.0)),
             qpos=joints.qpos,
             qvel=joints.qvel,
-            effort=task.driver.effort.copy(),
+            effort=effort.copy(),
             mode=ArmMode.MOVING if moves else ArmMode.IDLE,
             outcome=None if self._motion is not None else self._outcome,
         )

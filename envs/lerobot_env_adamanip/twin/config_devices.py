@@ -13,6 +13,7 @@ from lerobot.teleoperators.config import TeleoperatorConfig
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT, image_column
 from lerobot_adamanip.contract.control import DENSE, KEYFRAME
 from lerobot_adamanip.contract.schema import IMAGE_SIZE, MAX_KEY_FRAMES
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.teleoperators.config_devices import TcpTeleopConfig
@@ -86,6 +87,10 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
 
     mechanism_rules: str = "paper"
     """Rules of mechanisms: paper, upstream or hard."""
+
+    sensing: str = EXACT
+    """Errors of depth, of the cameras' poses and of joint torques: exact, d435, rough, or one of them with single parts
+    changed, e.g. d435,camera_error_mm=15. Errors of the arm and latency have no effect."""
 
     hidden: dict[str, Any] = field(default_factory=dict)
     """Fixed hidden values, e.g. '{locked: true}'. The others are drawn with the seed."""
@@ -192,6 +197,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
             split=self.split,
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
+            sensing=self.sensing,
             hidden_overrides=self.hidden,
             image_size=self.image_size or IMAGE_SIZE,
             render_backend=self.render_backend,

@@ -78,6 +78,7 @@ class AdamanipFrankaSim(AdamanipFranka):
             camera.attach(self._client, name, size=size, lockstep=lockstep)
 
     def _calibrated(self, details: dict[str, Any]) -> None:
+        self._on_hand.clear()
         if FRONT in self._twin_cameras:
             self._session.calibrations[FRONT] = simulated_calibration(details["camera"], "twin")
 

@@ -10,9 +10,11 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, cast
 
+import numpy as np
 from lerobot.cameras.camera import Camera
 from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
+from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
@@ -24,9 +26,11 @@ from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, 
 from lerobot_adamanip.hardware.arm import ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
 from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
+from lerobot_adamanip.hardware.calibration.on_hand import CameraOnHand
 from lerobot_adamanip.hardware.camera_frames import read_calibrations
 from lerobot_adamanip.hardware.closing import close_all, closing_on_error
 from lerobot_adamanip.hardware.dense_kinds import decode_action
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
@@ -137,6 +141,7 @@ class AdamanipFranka(Robot):
         self._client: ArmClient | None = None
         self._driver: MotionDriver | None = None
         self._session = RobotSession()
+        self._on_hand: dict[str, CameraOnHand] = {}
         self._slow_loop = SlowLoopFilter()
         self._connected_at = 0.0
 
@@ -180,7 +185,17 @@ class AdamanipFranka(Robot):
             )
         self._read_calibrations()
 
+    def _correct_calibration(self, key: str, depth: NDArray[np.uint16], reading: ArmReading) -> None:
+        """Corrects the calibration of a resting camera by the hand in its depth (H, W) [mm]."""
+        known = self._session.calibrations.get(key)
+        if known is not None and known.depth_in_base is not None:
+            if key not in self._on_hand:
+                self._on_hand[key] = CameraOnHand(known)
+            self._on_hand[key].update(depth, reading)
+            self._session.calibrations[key] = self._on_hand[key].corrected()
+
     def _read_calibrations(self) -> None:
+        self._on_hand.clear()
         if self.calibration_file.is_file():
             self._session.calibrations.update(read_calibrations(self.calibration_file))
 
@@ -303,6 +318,8 @@ class AdamanipFranka(Robot):
         observation: dict[str, Any] = self._session.observe(reading, self._stamp(reading))
         for key, camera in self.cameras.items():
             images = pictures(key, camera, max_age=self.config.camera_age, after=self._motion.rested_at)
+            if self.config.self_calibration and (depth := images.get(f"{key}{DEPTH_SUFFIX}")) is not None:
+                self._correct_calibration(key, depth[..., 0], reading)
             observation |= {name: image for name, image in images.items() if name in self.observation_features}
         return observation
 

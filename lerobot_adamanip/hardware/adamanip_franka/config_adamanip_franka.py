@@ -45,6 +45,10 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     """Cameras by key. The depth of the camera ``front`` becomes the point cloud."""
 
+    self_calibration: bool = False
+    """Whether to correct the calibration of a resting depth camera by the hand in its pictures, whenever the arm rests.
+    A warning says if the camera has moved by more than 5 mm."""
+
     speed: float = 0.10
     """Maximum speed of a streamed target [m/s]."""
 

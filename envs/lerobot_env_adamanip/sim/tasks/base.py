@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import partial
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -15,20 +16,24 @@ from mani_skill.utils.structs.types import SceneConfig, SimConfig
 from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import get_object, select_objects
-from lerobot_adamanip.contract.cameras import CAMERAS
+from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.keyframes import Feedback
 from lerobot_adamanip.contract.seeds import BalancedDraws, Stream, episode_generator
+from lerobot_adamanip.contract.sensing import EXACT, Sensing, parse_sensing
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.sim import scene
-from lerobot_env_adamanip.sim.arm_driver import ArmDriver
+from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND, ArmDriver
 from lerobot_env_adamanip.sim.cameras import Cameras
+from lerobot_env_adamanip.sim.hand_surface import hand_surface
 from lerobot_env_adamanip.sim.kinematics import ArmKinematics
 from lerobot_env_adamanip.sim.placement import Placement, placement_check, randomization
 from lerobot_env_adamanip.sim.render_device import resolve_cloud_source
 from lerobot_env_adamanip.sim.renderer import device_for, keep_shaders, translate_renderer_errors, without_reflections
 from lerobot_env_adamanip.sim.robot import AdaManipPanda
+from lerobot_env_adamanip.sim.sensing import SensorErrors
 from lerobot_env_adamanip.sim.simulation import CONTACT_OFFSET, Simulation
 from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 
@@ -71,6 +76,8 @@ class AdaManipTask(BaseEnv):
     """Driver of the arm in this episode, which executes key frames."""
     cameras: Cameras
     """Cameras of this episode."""
+    errors: SensorErrors | None
+    """Errors of this episode's sensors; None without errors."""
     _is_built = False
     """Whether ManiSkill's own first reset is over; its scene may be unreachable."""
 
@@ -95,6 +102,7 @@ class AdaManipTask(BaseEnv):
         options = (options or EnvironmentOptions()).changed(category=self.category, **values)
         self.options = options.changed(cloud_source=resolve_cloud_source(options.cloud_source))
         self.randomization, self._shader = randomization(options.poses), shader
+        self._sensing = None if options.sensing == EXACT else parse_sensing(options.sensing)
         placeable = None if options.assets is None else placement_check(self.definition, options.poses)
         self.object_ids = select_objects(self.category, options.objects, options.assets, placeable)
         kwargs.setdefault("reconfiguration_freq", 1)
@@ -196,7 +204,25 @@ class AdaManipTask(BaseEnv):
             limits=self.definition.motion,
         )
         urdf, poses = Path(self.agent.urdf_path), self._camera_poses()
-        self.cameras = Cameras(self._objects, arm, urdf, poses, self.options, self._shader)
+        self.errors, calibration = None, None
+        if self.options.self_calibration:
+            calibration = SelfCalibration(hand_surface(arm, urdf), np.asarray(poses[FRONT].p, np.float64))
+        if self._sensing is not None:
+            self.errors = errors = self._draw_errors(self._sensing, self.simulation)
+            poses = {name: scene.moved_camera(pose, partial(errors.true_pose, name)) for name, pose in poses.items()}
+        self.cameras = Cameras(self._objects, arm, urdf, poses, self.options, self._shader, self.errors, calibration)
+
+    def _draw_errors(self, sensing: Sensing, simulation: Simulation) -> SensorErrors:
+        fps = self.options.fps
+        steps = round(1e-3 * sensing.latency_ms * fps) if self.options.is_dense else 0
+        return SensorErrors(
+            sensing,
+            int(self._episode_seed[0]),
+            self.category,
+            self.options.workspace,
+            moment=lambda: simulation.ticks,
+            delay=steps * TICKS_PER_SECOND // fps,
+        )
 
     def _stream(self, stream: Stream) -> np.random.Generator:
         return episode_generator(int(self._episode_seed[0]), stream, self.category)
