@@ -122,11 +122,11 @@ class EnvironmentOptions:
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.
         from lerobot_adamanip.catalog import select_objects
-        from lerobot_adamanip.mechanisms import MECHANISM_RULES
+        from lerobot_adamanip.mechanisms import require_rules
 
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
-        require_choice("mechanism rules", self.mechanism_rules, MECHANISM_RULES)
+        require_rules(self.category, self.mechanism_rules)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
