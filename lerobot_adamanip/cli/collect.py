@@ -98,9 +98,13 @@ class CollectCommand:
     poses: Literal["randomized", "fixed"] = "randomized"
     """Poses of object, robot and camera. randomized: drawn. fixed: nominal, as in upstream's code."""
 
-    mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
+    mechanism_rules: Literal["paper", "upstream", "hard", "row", "changing"] = "paper"
     """Rules of mechanisms. paper: as in the paper's text. upstream: its released code, other for safes. hard: drawn
-    directions for pressure cookers and coffee makers too."""
+    directions for pressure cookers and coffee makers too. row: three locks in a row. changing: a lock that may shut
+    again."""
+
+    hints: float = 0.0
+    """Share of episodes whose instruction says what is hidden, as "Open the door. It turns left."."""
 
     max_failed_tries: str | None = None
     """Maximum failed tries per attempt; the next failed try ends it. A number, or best (worst case of the best strategy
@@ -216,6 +220,7 @@ class CollectCommand:
             poses=self.poses,
             mechanism_rules=self.mechanism_rules,
             max_failed_tries=self.max_failed_tries,
+            hints=self.hints,
             control=self.control,
             fps=self.fps,
             action=self.action,

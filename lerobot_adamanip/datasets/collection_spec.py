@@ -174,7 +174,8 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
     more = DENSE_FIELDS if environment.is_dense else tuple(name for name in OF_PICTURES if plain[name] is not None)
-    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more)})
+    hints = OF_HINTS if environment.hints else ()
+    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more, *hints)})
 
 
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
@@ -199,11 +200,13 @@ MANIFEST_FIELDS = (
 """Environment options in a manifest."""
 OF_PICTURES = ("cameras", "image_source")
 """Environment options in a manifest of key frames if they are chosen."""
+OF_HINTS = ("hints",)
+"""Environment options in a manifest if there are hints."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
-    "logged_seeds",
+    "logged_seeds", "repeats",
 )  # fmt: skip
-"""Other options: category and objects have their own fields, the split is constant, paths are local, runs belong to
-evaluations, and its versions cover the renderer."""
+"""Other options: category and objects have their own fields, the split is constant, paths are local, runs and
+repeats belong to evaluations, and its versions cover the renderer."""

@@ -22,6 +22,7 @@ from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
     MAX_EPISODES,
     MAX_OBJECTS,
+    OF_HINTS,
     OF_PICTURES,
     CollectionPaths,
     CollectionSpec,
@@ -245,10 +246,11 @@ _DENSE: Mapping[str, Check] = {
 
 
 def _environment(name: str, value: Any) -> Any:
-    """Checks the options of the environments: those of dense control are there for it alone."""
+    """Checks the options of the environments: those of dense control are there for it alone, hints only if chosen."""
     fields = value if isinstance(value, Mapping) else {}
     names = _DENSE if "control" in fields else [key for key in OF_PICTURES if key in fields]
-    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}})(name, value)
+    hints = {key: number(0.0, 1.0) for key in OF_HINTS if key in fields}
+    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}, **hints})(name, value)
 
 
 _COLLECTION: Mapping[str, Check] = {

@@ -131,23 +131,25 @@ class LocksExpert:
             return KEY
         drawn = PULL if self.hand.rng.random() < self.style.p_pull else KEY
         other = KEY if drawn == PULL else PULL
-        return other if drawn in self.blocked and other not in self.blocked else drawn
+        return other if drawn in self.blocked else drawn
 
     def in_row(self, next_motion: Callable[[], str]) -> KeyFrames:
         """Makes the motions that ``next_motion`` returns until the part is open."""
+        yield from self._finish_turn()
         for _ in range(MAX_MOTIONS):
             if self.hand.is_open(self.style.final, self.style.path):
                 return
             motion = next_motion()
             moved = yield from (self._move_key() if motion == KEY else self._pull())
             self.moves += moved
-            if not moved:
-                self.blocked = self.blocked | {motion}
-            else:
+            if moved:
                 self.blocked = {PULL} if motion == PULL else set()
+            else:  # if both are blocked, one of them has slipped
+                self.blocked = {motion} if self.blocked - {motion} else self.blocked | {motion}
 
     def until_it_stays_open(self, later_direction: int | None) -> KeyFrames:
         """Turns the key and pulls; after each failed pull turns the key anew, in ``later_direction`` if it is known."""
+        yield from self._finish_turn()
         if not (self._is_out or self._is_ajar):
             yield from self._move_key()
         for _ in range(MAX_MOTIONS):
@@ -156,6 +158,11 @@ class LocksExpert:
                 return
             if not self._is_ajar:
                 yield from self._turn_anew(later_direction)
+
+    def _finish_turn(self) -> Frames:
+        """Turns a key to its stop that was on its way there at a takeover."""
+        if self._is_out and not self._is_ajar and not self.hand.belief.stopped(self.style.key, FOLLOWED * self.style.step):
+            yield from self._turn(int(np.sign(self.angle)))
 
     def _turn_anew(self, known: int | None) -> Frames:
         """Turns the key back and on. If it stops at rest, or ``known`` says so, turns it out again."""
@@ -197,7 +204,9 @@ class LocksExpert:
                 break
         if direction * (self.angle - start) > FOLLOWED * min(style.step, to - direction * start):
             return True
-        hand.positions[style.key] = start  # a blocked joint has not moved; the hand gave way
+        # A blocked joint has not moved; the hand gave way, at a stop to both sides.
+        is_at_stop = abs(start) > FOLLOWED * style.step and direction * start < 0
+        hand.positions[style.key] = (start + self.angle) / 2 if is_at_stop else start
         return False
 
     def _pull(self) -> Attempt:

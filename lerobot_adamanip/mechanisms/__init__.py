@@ -25,11 +25,12 @@ from lerobot_adamanip.mechanisms.table import (
     infeasible,
     make_mechanism,
     require_rules,
+    rules_of,
 )
 
 __all__ = [
     "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "ChangingMechanism",
     "LampMechanism", "Limits", "Mechanism", "MicrowaveMechanism", "Overrides", "Positions", "RowMechanism",
     "SafeMechanism", "TurnToOpenMechanism", "best_tries", "categories_with", "fixed_direction", "infeasible",
-    "make_mechanism", "require_rules",
+    "make_mechanism", "require_rules", "rules_of",
 ]  # fmt: skip

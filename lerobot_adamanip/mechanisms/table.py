@@ -213,6 +213,11 @@ def categories_with(rules: str) -> tuple[str, ...]:
     return tuple(name for name in RULES if name in COMPOSED.get(rules, RULES))
 
 
+def rules_of(category: str) -> tuple[str, ...]:
+    """Returns the mechanism rules that a category has."""
+    return tuple(rules for rules in MECHANISM_RULES if category in categories_with(rules))
+
+
 def require_rules(category: str, rules: str) -> str:
     """Returns ``rules``; raises `ConfigurationError` if they, or the category, are unknown, or it does not have them."""
     require_choice("category", category, RULES)
