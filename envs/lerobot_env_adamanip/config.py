@@ -83,8 +83,8 @@ class AdaManipEnvConfig(EnvConfig):
     image_source: str | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
-    # Rules of mechanisms: paper (its text), upstream (its code), hard (for pressure_cooker and coffee_maker), row (three
-    # locks in a row), or changing (a lock that may shut again).
+    # Rules of mechanisms: paper (its text), upstream (its code), hard (for pressure_cooker and coffee_maker), row
+    # (three locks in a row), or changing (a lock that may shut again).
     mechanism_rules: str = "paper"
     # Maximum steps per episode; by default 45 key frames, or 30 seconds of dense control.
     episode_length: int | None = None

@@ -1,9 +1,9 @@
 """Experts for locks in a row and for a lock that shuts again (mechanism rules ``row`` and ``changing``).
 
-In a row of locks, each motion frees the next: the key (out, back, out again) or a pull. An expert tries one of both, at
-random, and the other one if it is blocked. A lock that shuts again is noticed by a failed pull: the key is turned back,
-and on if it goes on, or out again. The adaptive experts know the part poses and the arm's feedback; the static ones also
-the hidden state.
+In a row of locks, each motion frees the next: the key (out, back, out again) or a pull. An expert tries one of both,
+at random, and the other one if it is blocked. A lock that shuts again is noticed by a failed pull: the key is turned
+back, and on if it goes on, or out again. The adaptive experts know the part poses and the arm's feedback; the static
+ones also the hidden state.
 """
 
 from __future__ import annotations
@@ -161,7 +161,11 @@ class LocksExpert:
 
     def _finish_turn(self) -> Frames:
         """Turns a key to its stop that was on its way there at a takeover."""
-        if self._is_out and not self._is_ajar and not self.hand.belief.stopped(self.style.key, FOLLOWED * self.style.step):
+        if (
+            self._is_out
+            and not self._is_ajar
+            and not self.hand.belief.stopped(self.style.key, FOLLOWED * self.style.step)
+        ):
             yield from self._turn(int(np.sign(self.angle)))
 
     def _turn_anew(self, known: int | None) -> Frames:
@@ -267,5 +271,7 @@ LOCKS_OF: Mapping[str, Locks] = {
     "door": _of(DOOR),
 }
 """Category -> parts and motions."""
-ROW_SEQUENCE = "turn key one way at random, the other way if blocked; then move key or pull, at random, until it is open"
+ROW_SEQUENCE = (
+    "turn key one way at random, the other way if blocked; then move key or pull, at random, until it is open"
+)
 CHANGING_SEQUENCE = "turn key one way at random, the other way if blocked; pull; after a failed pull turn key anew"

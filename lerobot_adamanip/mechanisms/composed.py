@@ -57,10 +57,10 @@ class RowState:
 class RowMechanism(Mechanism[RowState]):
     """Three locks in a row. Each motion is free only when the locks before it are.
 
-    The first lock is freed by turning the key, in a hidden direction. Each of the others is freed by one of two motions:
-    moving the key to its other end (back to rest, or out again), or pulling the part that opens by a notch. The motion
-    that is not the next one is blocked: the key is kept where it stands, or the part is. The third pull goes on to the
-    end. With ``second_pulls`` and ``third_pulls`` the part opens after one turn, as in `TurnToOpenMechanism`.
+    The first lock is freed by turning the key, in a hidden direction. Each of the others is freed by one of two
+    motions: moving the key to its other end (back to rest, or out again), or pulling the part that opens by a notch.
+    The motion that is not the next one is blocked: the key is kept where it stands, or the part is. A pull that no turn
+    follows goes on to the end. With ``second_pulls`` and ``third_pulls`` the part opens after one turn, as in `TurnToOpenMechanism`.
 
     Args:
         key: joint that turns.
@@ -212,7 +212,7 @@ class ChangingMechanism(Mechanism[ChangingState]):
         return ChangingState(direction, turn_range, relocks, overridden(later, overrides, "later_direction", (-1, 1)))
 
     def step(self, state: ChangingState, positions: Positions) -> tuple[ChangingState, dict[str, Limits]]:
-        """Frees the final joint once the key is moved far enough, and shuts it again at the first pull if it relocks."""
+        """Frees the final joint once the key is moved far enough; shuts it again at the first pull if it relocks."""
         pulled, present = max(0.0, positions[self.final]), positions[self.key]
         sticks = state.relocks and not state.has_relocked
         if state.is_free and sticks and pulled >= 0.5 * self._play:
@@ -232,7 +232,7 @@ class ChangingMechanism(Mechanism[ChangingState]):
         turns = len(self.hidden_names) > 1
         directions = f"directions +/- with p = 0.5; range {range_words(self._fractions)}; " if turns else ""
         return {
-            "hidden": "shuts again or not" + (", direction before and after, range" if turns else ""),
+            "hidden": "whether it shuts again" + (", direction before and after, range" if turns else ""),
             "draws": f"{directions}shuts again with p = 0.5",
             "thresholds": f"{self.key} at {self._release:g} of its range frees {self.final}",
         }

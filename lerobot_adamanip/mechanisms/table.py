@@ -219,7 +219,7 @@ def rules_of(category: str) -> tuple[str, ...]:
 
 
 def require_rules(category: str, rules: str) -> str:
-    """Returns ``rules``; raises `ConfigurationError` if they, or the category, are unknown, or it does not have them."""
+    """Returns ``rules``; raises `ConfigurationError` for unknown names, and if the category does not have them."""
     require_choice("category", category, RULES)
     if category not in (allowed := categories_with(rules)):
         raise ConfigurationError(

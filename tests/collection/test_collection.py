@@ -49,7 +49,9 @@ def test_a_prefix_of_a_collection_is_balanced_and_a_longer_one_starts_with_a_sho
 
 def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
     """An option that is added and decides data has to be written down, or datasets cannot tell it."""
-    assert {*MANIFEST_FIELDS, *DENSE_FIELDS, *OF_HINTS, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}
+    assert {*MANIFEST_FIELDS, *DENSE_FIELDS, *OF_HINTS, *RUNTIME_FIELDS} == {
+        item.name for item in fields(EnvironmentOptions)
+    }
     assert not set(MANIFEST_FIELDS) & set(RUNTIME_FIELDS)
 
 

@@ -39,7 +39,8 @@ def failed_tries(episode: Episode) -> int:
             tries.append([move])
     kinds = {name: episode.world.obj.joint(name).kind for name in episode.world.joints}
     return sum(
-        abs(each[-1].end - each[0].start) < MIN_JOINT_MOTION[kinds[each[0].joint]] and any(move.stalled for move in each)
+        abs(each[-1].end - each[0].start) < MIN_JOINT_MOTION[kinds[each[0].joint]]
+        and any(move.stalled for move in each)
         for each in tries
     )
 
@@ -73,7 +74,9 @@ def test_demonstrations_of_a_row_try_key_and_pull_first(category: str) -> None:
         hidden = {"direction": 1, "second_pulls": bool(seed % 2), "third_pulls": True}
         episode = play("row", category, hidden, adaptive, seed, preset="paper")
         assert episode.key_frames <= 60
-        out = next(number for number, move in enumerate(episode.moves) if move.joint != episode.world.final and move.end)
+        out = next(
+            number for number, move in enumerate(episode.moves) if move.joint != episode.world.final and move.end
+        )
         later = episode.moves[out + 1 :]
         after = next(move for move in later if (move.joint, move.sign) != (episode.moves[out].joint, 1))
         first.add(after.joint)

@@ -36,6 +36,7 @@ every_cell = pytest.mark.parametrize(("rules", "category"), CELLS)
 Action = tuple[str, int, bool]
 """A joint, the sign of its motion, and whether it goes on beyond rest."""
 LET_GO: Action = ("", 0, False)
+Place = tuple[float, ...]
 INCREMENTS = 12
 
 
@@ -171,7 +172,8 @@ def test_a_lock_shuts_again_at_its_first_pull_and_once(category: str) -> None:
         assert episode.act(pull) < PLAY[kind], "a key that is still turned does not count"
         episode.act((key, -first, later != first))
         episode.act((key, later, True))
-        assert episode.act(pull) > 0 and episode.is_open
+        assert episode.act(pull) > 0
+        assert episode.is_open
 
 
 @every_cell
@@ -232,7 +234,6 @@ def best_by_force(mechanism: Any, kind: str, *, is_sprung: bool) -> tuple[float,
     actions: list[Action] = [(final, 1, True), *((key, sign, beyond) for sign in (-1, 1) for beyond in (True, False))]
     actions += [LET_GO] if is_sprung else []
     least = {final: MIN_JOINT_MOTION[kind], key: 1e-4}
-    Place = tuple[float, ...]
 
     @cache
     def after(state: Any, place: Place, action: Action) -> tuple[Any, Place]:
@@ -306,6 +307,4 @@ def test_what_cannot_move_is_refused(kind: type[Mechanism[Any]]) -> None:
     more: dict[str, Any] = {"notch": 0.1} if kind is RowMechanism else {"release": 0.85, "play": 0.01}
     for sizes in ((0.0, 1.0), (1.0, math.nan)):
         with pytest.raises(ConfigurationError, match="allowed:"):
-            kind(
-                "key", "final", key_range=sizes[0], final_upper=sizes[1], fractions=(0.5, 1.0), success=0.4, **more
-            )
+            kind("key", "final", key_range=sizes[0], final_upper=sizes[1], fractions=(0.5, 1.0), success=0.4, **more)

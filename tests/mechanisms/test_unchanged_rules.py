@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, Mechanism, categories_with, make_mechanism
+from lerobot_adamanip.mechanisms import (
+    DEFAULT_MECHANISM_RULES,
+    MECHANISM_RULES,
+    Mechanism,
+    categories_with,
+    make_mechanism,
+)
 from lerobot_adamanip.mechanisms.unchanged_rules import changed_categories
 
 

@@ -282,7 +282,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 f"--policy.preset={self.preset}, and none of these",
             )
         if self.memory_episodes < 1:
-            raise self._error("Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3")
+            raise self._error(
+                "Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3"
+            )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")
 
