@@ -175,14 +175,13 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
         versions=[record.provenance.versions for record in kept],
         limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
-        again=_again(kept),
+        again=_again(kept) if max(record.repeat for record in kept) else {},
     )
 
 
 def _again(records: Sequence[EpisodeRecord]) -> dict[int, tuple[Rate, Mean]]:
-    numbers = sorted({record.repeat for record in records})
     result = {}
-    for number in numbers if len(numbers) > 1 else ():
+    for number in sorted({record.repeat for record in records}):
         part = [record for record in records if record.repeat == number]
         tries = [record.failed_tries for record in part if record.success]
         result[number] = rate(len(tries), len(part)), Mean(sum(tries), len(tries))

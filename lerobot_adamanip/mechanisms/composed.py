@@ -59,8 +59,8 @@ class RowMechanism(Mechanism[RowState]):
 
     The first lock is freed by turning the key, in a hidden direction. Each of the others is freed by one of two
     motions: moving the key to its other end (back to rest, or out again), or pulling the part that opens by a notch.
-    The motion that is not the next one is blocked: the key is kept where it stands, or the part is. A pull that no turn
-    follows goes on to the end. With ``second_pulls`` and ``third_pulls`` the part opens after one turn, as in `TurnToOpenMechanism`.
+    The motion that is not the next one is blocked: the key is kept where it stands, or the part is. A pull that no
+    turn follows goes on to the end, so with ``second_pulls`` and ``third_pulls`` the part opens after one turn.
 
     Args:
         key: joint that turns.

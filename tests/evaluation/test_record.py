@@ -121,8 +121,8 @@ def test_a_repeat_is_an_episode_of_its_own_and_its_tries_are_reported_apart() ->
     several = [record(seed=seed, repeat=number, blocked_pulls=2 - number) for seed in (1, 2) for number in range(3)]
     comparison = compare({"policy": [*several, record(seed=3, repeat=2, success=False)]})
     lines = [line for line in comparison.lines() if line.startswith("Episode ")]
-    assert [line.split(": ")[1].split(" failed")[0] for line in lines] == [
-        "2/2 opened, 2.00", "2/2 opened, 1.00", "2/3 opened, 0.00",
-    ]  # fmt: skip
+    expected = [(2, 2, "2.00"), (2, 2, "1.00"), (2, 3, "0.00")]
+    for line, (opened, episodes, tries) in zip(lines, expected, strict=True):
+        assert f": {opened}/{episodes} opened, {tries} failed tries" in line
     assert not any(line.startswith("Episode ") for line in compare({"policy": [plain]}).lines())
     assert [each["success"] for each in comparison.to_json()["evaluations"][0]["again"]] == [[2, 2], [2, 2], [2, 3]]
