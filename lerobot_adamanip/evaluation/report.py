@@ -175,7 +175,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
         versions=[record.provenance.versions for record in kept],
         limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
-        again=_again(kept) if max(record.repeat for record in kept) else {},
+        again=_again(kept) if max((record.repeat for record in kept), default=0) else {},
     )
 
 

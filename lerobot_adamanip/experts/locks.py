@@ -150,6 +150,7 @@ class LocksExpert:
     def until_it_stays_open(self, later_direction: int | None) -> KeyFrames:
         """Turns the key and pulls; after each failed pull turns the key anew, in ``later_direction`` if it is known."""
         yield from self._finish_turn()
+        self.moves = 0  # after a lock has shut again, the key may turn either way
         if not (self._is_out or self._is_ajar):
             yield from self._move_key()
         for _ in range(MAX_MOTIONS):
@@ -181,7 +182,11 @@ class LocksExpert:
                 return
         else:
             yield from self._turn(-side, 0.0)
-        yield from self._turn(side)
+        if not (yield from self._turn(side)):
+            # It goes neither on nor out: a lever has slipped in the fingers, which a pull at a shut lock may do.
+            yield from self.hand.regrasp(self.parts[self.style.key_part])
+            self.direction = known or -side
+            yield from self._move_key()
 
     def _move_key(self) -> Attempt:
         """Moves the key to its other end. Returns True if it followed; from rest, one direction or the other."""
