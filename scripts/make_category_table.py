@@ -11,7 +11,8 @@ from check_common import ROOT, document_command
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import EXPERTS
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, RULES, make_mechanism
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, MECHANISM_RULES, RULES, make_mechanism, rules_of
+from lerobot_adamanip.mechanisms.table import COMPOSED
 from lerobot_adamanip.objects import ArticulatedObject, Joint
 
 CATEGORIES_PAGE, RULES_PAGE = ROOT / "docs" / "categories.md", ROOT / "docs" / "mechanism_rules.md"
@@ -70,7 +71,7 @@ def _mechanisms() -> list[str]:
 
 def _rules() -> str:
     """Returns the page of rule sets: their differences, and the paper's sentences behind `paper`."""
-    names = tuple(MECHANISM_RULES)
+    names = tuple(name for name in MECHANISM_RULES if name not in COMPOSED)
     lines = [f"# Mechanism rules\n\n{GENERATED}\n"]
     lines += [
         "Choose with `--env.mechanism_rules`, in `adamanip collect` with `--mechanism-rules`.\n",
@@ -83,7 +84,8 @@ def _rules() -> str:
     ]
     lines.append("\n## Where do they differ?\n")
     lines.append(
-        "In the other categories, all rules are equal: `hard` makes nothing harder there. `collect` says so.\n"
+        "`paper`, `upstream` and `hard` exist for every category. In the categories that are missing here, they are "
+        "equal: `hard` makes nothing harder there. `collect` says so.\n"
     )
     lines += [f"| category | what | {' | '.join(f'`{name}`' for name in names)} |", "|---|---|" + "---|" * len(names)]
     for category in CATEGORIES:
@@ -93,9 +95,37 @@ def _rules() -> str:
             said = [each[key] for each in rules]
             if len(set(said)) > 1:
                 lines.append(f"| `{category}` | {key} | {' | '.join(said)} |")
-    lines += ["\n## What does the paper say?\n", "| category | quotation | so `paper` is |", "|---|---|---|"]
+    lines += [
+        *_composed(),
+        "\n## What does the paper say?\n",
+        "| category | quotation | so `paper` is |",
+        "|---|---|---|",
+    ]
     lines += [f"| `{name}` | {rules.paper} | {rules.reading} |" for name, rules in RULES.items()]
     return "\n".join(lines) + "\n"
+
+
+def _composed() -> list[str]:
+    """Returns the section of the rules that only some categories have."""
+    lines = [
+        "\n## Which rules do some categories have?\n",
+        "`row` and `changing` are rules of the [tracks](tracks.md), for categories with a part that is turned or "
+        "pressed and another that opens. For the others there is an error that lists those that have them.\n",
+    ]
+    for rules in COMPOSED:
+        said = make_mechanism(make_object(object_id("door", 0)), rules).rules()
+        lines.append(f"- `{rules}`, hidden: {said['hidden']}. Draws of a door: {said['draws']}.")
+    lines += [
+        "",
+        f"| category | {' | '.join(f'`{rules}`' for rules in COMPOSED)} |",
+        "|---" * (1 + len(COMPOSED)) + "|",
+    ]
+    for category in CATEGORIES:
+        obj, own = make_object(object_id(category, 0)), [rules for rules in COMPOSED if rules in rules_of(category)]
+        if own:
+            said = {rules: make_mechanism(obj, rules).rules()["thresholds"] for rules in own}
+            lines.append(f"| `{category}` | {' | '.join(said.get(rules, '-') for rules in COMPOSED)} |")
+    return lines
 
 
 def _experts() -> list[str]:

@@ -13,7 +13,7 @@ from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.experts import EXPERTS, make_expert
-from lerobot_adamanip.mechanisms import MECHANISM_RULES, make_mechanism
+from lerobot_adamanip.mechanisms import make_mechanism, rules_of
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -29,7 +29,7 @@ def test_a_category_has_objects_rules_and_experts_that_fit_each_other(name: str)
     obj = make_object(object_id(name, 0))
     assert (obj.category, obj.object_id) == (name, object_id(name, 0))
     parts = {part.name: part for part in obj.parts}
-    for preset in MECHANISM_RULES:
+    for preset in rules_of(name):
         mechanism = make_mechanism(obj, preset)
         assert set(mechanism.joints) == {link.joint.name for link in obj.links if link.joint is not None}
         assert set(mechanism.goals) <= set(mechanism.joints)

@@ -97,7 +97,7 @@ from lerobot.envs.configs import EnvConfig
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.catalog import get_object, parse_object_selection
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.mechanisms import MECHANISM_RULES, make_mechanism
+from lerobot_adamanip.mechanisms import make_mechanism, rules_of
 from lerobot_adamanip.episode.options import EnvironmentOptions
 
 assert lerobot_adamanip.__file__.startswith({tree!r})
@@ -105,7 +105,7 @@ for split in ("seen", "unseen", "novel"):
     ids = parse_object_selection("jar", split)
     objects = [get_object(name) for name in ids]
     assert [obj.object_id for obj in objects] == list(ids)
-    for preset in MECHANISM_RULES:
+    for preset in rules_of("jar"):
         mechanism = make_mechanism(objects[0], preset)
         state = mechanism.draw(np.random.default_rng(0), {{"direction": 1, "turn_range": 1.5}})
         _, shut = mechanism.step(state, {{"lift": 0.0, "cap": 0.0}})

@@ -84,13 +84,18 @@ class AdaManipEnvConfig(EnvConfig):
     image_source: str | None = None
     # Poses of object, robot and camera: randomized (sampled), or fixed (nominal, as upstream).
     poses: str = "randomized"
-    # Rules of mechanisms: paper (its text), upstream (its code), or hard (for pressure_cooker and coffee_maker).
+    # Rules of mechanisms: paper (its text), upstream (its code), hard (for pressure_cooker and coffee_maker), row
+    # (three locks in a row), or changing (a lock that may shut again).
     mechanism_rules: str = "paper"
     # Maximum steps per episode; by default 45 key frames, or 30 seconds of dense control.
     episode_length: int | None = None
     # Maximum failed tries per episode; the next failed try ends it. A number, or best (worst case of the best strategy
     # without the hidden state); unset for no limit.
     max_failed_tries: str | None = None
+    # Share of episodes whose instruction says what is hidden, as "Open the door. It turns left."; 0.5 for half of them.
+    hints: float = 0.0
+    # Episodes in a row that play one scene, with its hidden state; more than 1 needs --eval.batch_size=1.
+    repeats: int = 1
     # Split of scenes, without overlap: train, validation (for selection), or test (for reported numbers).
     split: str = "validation"
     # Source of point clouds: raycast (no renderer), or render (ten times slower). The clouds are equal.

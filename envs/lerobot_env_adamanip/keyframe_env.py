@@ -22,6 +22,7 @@ from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.schema import FPS, STATE_DIM
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
+from lerobot_adamanip.episode.hints import instruction
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
@@ -84,6 +85,7 @@ class RunningEpisode:
         provenance: run and versions of the record.
         log: log of the environment, if it has one.
         seed, given_seed: seed of the scene, and of the evaluation.
+        repeat: see `EpisodeRecord`.
 
     Attributes:
         steps: number of key frames, or of dense steps.
@@ -101,9 +103,10 @@ class RunningEpisode:
         *,
         seed: int,
         given_seed: int,
+        repeat: int = 0,
     ) -> None:
         self.task, self._options, self._provenance, self._log = task, options, provenance, log
-        self._seed, self._given_seed = seed, given_seed
+        self._seed, self._given_seed, self._repeat = seed, given_seed, repeat
         self._hidden = task.simulation.hidden_state()
         self._step_limit, self._is_dense = options.step_limit, options.is_dense
         limit = options.max_failed_tries
@@ -163,6 +166,7 @@ class RunningEpisode:
             poses=self._options.poses,
             try_sequence=tuple((item.joint, item.direction, item.failed) for item in simulation.tries.tries),
             joints=simulation.joint_positions(),
+            repeat=self._repeat,
             provenance=self._provenance,
         )
 
@@ -225,6 +229,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             SIMULATION_VERSION, __version__, rules, run_id, label, versions=installed_versions()
         )
         self._image: NDArray[np.uint8] | None = None
+        self._seeds: dict[str, int] = {}
         self.action_space = action_space(self.options)
         self.observation_space = observation_space(self.options)
         self._spaces: dict[str, Any] = dict(self.observation_space.spaces)
@@ -236,7 +241,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode. ``seed`` determines object, poses and hidden state; equal seeds give equal episodes.
 
-        The seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
+        With ``repeats`` of K, episodes whose seeds follow each other play the scene of the first, K at a time. The
+        seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
         the seed are tried; the log records this.
 
         Options: ``object_id`` selects an object of the category; ``hidden_overrides`` fixes hidden values. LeRobot's
@@ -253,10 +259,20 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         if self._task is None:
             # Three quarters of the time of ManiSkill's default shader, without a GPU.
             self._task = make_task(self.category, options=self.options, shader="minimal")
-        scene = scene_seed(given_seed + self.options.seed_offset, self.options.split)
-        self._seeds = {"seed": self._load_scene(self._task, scene, chosen), "given_seed": given_seed}
+        repeat = self._repeat_of(seed)
+        scene = scene_seed(given_seed - repeat + self.options.seed_offset, self.options.split)
+        self._seeds = {"seed": self._load_scene(self._task, scene, chosen), "given_seed": given_seed, "repeat": repeat}
         self._start_episode(self._task)
+        if self.options.hints:
+            hidden, scene = self.hidden_state(), self._seeds["seed"]
+            self.task = self.task_description = instruction(self.category, hidden, scene, self.options.hints)
         return self.observe(), self._info()
+
+    def _repeat_of(self, seed: int | None) -> int:
+        """Returns how many episodes with the seeds before this one have played its scene, see ``repeats``."""
+        is_next = seed is not None and self._seeds.get("given_seed") == seed - 1
+        repeat = self._seeds.get("repeat", 0) + 1
+        return repeat if is_next and repeat < self.options.repeats else 0
 
     def _load_scene(self, task: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
         """Resets the simulator to a reachable scene; returns its seed."""

@@ -255,6 +255,13 @@ def make_vector_env(
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
+    if n_envs > 1 and options.repeats > 1:
+        raise ConfigurationError(
+            "Repeats of a scene play one after the other, in one environment.",
+            got=f"repeats={options.repeats} in {n_envs} environments",
+            allowed="one environment",
+            hint="--eval.batch_size=1",
+        )
     _log.info(
         "%s: %s scenes, %s objects%s.",
         *(options.category, options.split, options.objects),

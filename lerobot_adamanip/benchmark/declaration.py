@@ -150,7 +150,11 @@ class Scale:
         save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
         episodes: episodes per evaluation; ``environments`` of them run in parallel.
         device: PyTorch device.
-        poses: poses in all scenes; empty to use those of each set of demonstrations.
+        poses, mechanism_rules: in all scenes; empty to use those of each set of demonstrations.
+        hints: share of episodes, demonstrations and evaluations, whose instruction says what is hidden.
+        held_out: groups of categories; for a cell of one of them, a method with ``data_of`` learns from all categories
+            but those of its group. All trained methods of such a scale need ``data_of``.
+        shown: number of demonstrations of the cell's own category that are added then.
         evaluate: options of ``lerobot-eval``; a method's options override them.
         note: one sentence for the report. Changes no result.
         beside_paper: whether the report shows the paper's numbers. Changes no result.
@@ -165,6 +169,10 @@ class Scale:
     environments: Annotated[int, _COUNT]
     device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a PyTorch device")]
     poses: Annotated[str, choice(("", *POSES))] = ""
+    mechanism_rules: Annotated[str, choice(("", *MECHANISM_RULES))] = ""
+    hints: Annotated[float, number(0, 1)] = 0.0
+    held_out: Annotated[tuple[tuple[str, ...], ...], listing(_CATEGORIES, 0, len(CATEGORIES))] = ()
+    shown: Annotated[int, integer(0, 10_000)] = 0
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
     categories: Annotated[tuple[str, ...], _CATEGORIES] = tuple(CATEGORIES)
     splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
@@ -179,6 +187,11 @@ class Scale:
     def objects_of(self, category: str) -> str:
         """Returns the objects of a category."""
         return self.objects_at.get(category, self.objects)
+
+    def trained_categories(self, category: str) -> tuple[str, ...]:
+        """Returns the categories that a method with ``data_of`` learns from for a cell of ``category``."""
+        held_out = {name for group in self.held_out if category in group for name in group}
+        return tuple(name for name in (CATEGORIES if self.held_out else self.categories) if name not in held_out)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -240,6 +253,11 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     _require("reference", declaration.reference, declaration.methods)
     for name, method in declaration.methods.items():
         _check_method(declaration, name, method)
+    for name, scale in declaration.scales.items():
+        if scale.held_out and (own := [key for key, one in declaration.methods_of(name).items() if one.demonstrations]):
+            raise ValueError(f"scales.{name} has held_out, but methods.{own[0]} has no data_of: it sees every category")
+        if scale.shown and not scale.held_out:
+            raise ValueError(f"scales.{name}.shown needs held_out")
     for effect in declaration.effects:
         _require("effects.method", effect.method, declaration.methods)
         _require("effects.without", effect.without, declaration.methods)

@@ -45,7 +45,8 @@ _EXPERT_OPTIONS = {
     **{
         f"--env.{name}": f"--{name.replace('_', '-')}"
         for name in (
-            "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log"
+            "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log",
+            "repeats",
         )
     },
 }  # fmt: skip
@@ -216,7 +217,8 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVer
     scale, method = declaration.scale(scale_name), declaration.methods[cell.method]
     demonstrations = declaration.methods[method.data_of or cell.method].demonstrations
     like = declaration.demonstrations[demonstrations] if demonstrations else Demonstrations()
-    like = replace(like, poses=scale.poses or like.poses)
+    rules = scale.mechanism_rules or like.mechanism_rules
+    like = replace(like, poses=scale.poses or like.poses, mechanism_rules=rules)
     training = _learning(cell, declaration, scale_name, versions, like=like)[1] if demonstrations else None
     return _evaluation(cell, method, scale, versions, like=like, training=training)
 
@@ -234,8 +236,13 @@ def _learning(
     overriding = (option for where in (scale_name, cell.category) for option in method.train_at.get(where, ()))
     method = replace(method, train=(*method.train, *overriding))
     if method.data_of:
-        others = [replace(cell, method=method.data_of, category=category) for category in scale.categories]
-        data = _merge(tuple(_learning(other, declaration, scale_name, versions, like=like)[0] for other in others))
+        names = scale.trained_categories(cell.category)
+        others = [replace(cell, method=method.data_of, category=category) for category in names]
+        parts = [_learning(other, declaration, scale_name, versions, like=like)[0] for other in others]
+        if scale.shown:
+            few = replace(scale, objects=f"0:{scale.shown}", objects_at={}, demonstrations=scale.shown)
+            parts.append(_collection(cell, like, few, versions))
+        data = _merge(tuple(parts))
     else:
         data = _collection(cell, like, scale, versions)
     training = _training(cell, method, scale, data, versions, steps=method.steps.get(scale_name, scale.steps))
@@ -297,6 +304,7 @@ def _recording(
         f"--mechanism-rules={data.mechanism_rules}",
         *(_dense_options(data, "--") if data.is_dense else ()),
         *(("--cloud",) if data.is_dense and data.cloud else ()),
+        *((f"--hints={scale.hints:g}",) if scale.hints else ()),
         _COLLECTED,
     )
     # Attempts end with the first success, so a higher limit changes no dataset.
@@ -366,6 +374,7 @@ def _evaluation(
         *dense,
         f"--env.poses={like.poses}",
         f"--env.mechanism_rules={like.mechanism_rules}",
+        *((f"--env.hints={scale.hints:g}",) if scale.hints else ()),
         f"--env.episode_log={product}/{EPISODE_LOG}",
         f"--eval.n_episodes={scale.episodes}",
         f"--eval.batch_size={scale.environments}",

@@ -99,9 +99,13 @@ class CollectCommand:
     poses: Literal["randomized", "fixed"] = "randomized"
     """Poses of object, robot and camera. randomized: drawn. fixed: nominal, as in upstream's code."""
 
-    mechanism_rules: Literal["paper", "upstream", "hard"] = "paper"
+    mechanism_rules: Literal["paper", "upstream", "hard", "row", "changing"] = "paper"
     """Rules of mechanisms. paper: as in the paper's text. upstream: its released code, other for safes. hard: drawn
-    directions for pressure cookers and coffee makers too."""
+    directions for pressure cookers and coffee makers too. row: three locks in a row. changing: a lock that may shut
+    again."""
+
+    hints: float = 0.0
+    """Share of episodes whose instruction says what is hidden, as "Open the door. It turns left."."""
 
     sensing: str = EXACT
     """Errors of sensors. exact: none. d435: a calibrated D435. rough: twice as bad. Single parts may be changed, e.g.
@@ -226,6 +230,7 @@ class CollectCommand:
             sensing=self.sensing,
             self_calibration=self.self_calibration,
             max_failed_tries=self.max_failed_tries,
+            hints=self.hints,
             control=self.control,
             fps=self.fps,
             action=self.action,

@@ -49,7 +49,10 @@ class ExpertCommand:
     """Poses of object, robot and camera: randomized or fixed."""
 
     mechanism_rules: str = "paper"
-    """Rules of mechanisms: paper, upstream or hard (for pressure_cooker and coffee_maker)."""
+    """Rules of mechanisms: paper, upstream, hard (for pressure_cooker and coffee_maker), row or changing."""
+
+    repeats: int = 1
+    """Episodes in a row that play one scene. The expert forgets it after each episode."""
 
     episode_length: int = MAX_KEY_FRAMES
     """Maximum key frames per episode."""
@@ -77,7 +80,7 @@ class ExpertCommand:
             raise ConfigurationError(
                 "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"
             )
-        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries")
+        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats")
         options = EnvironmentOptions(
             **{name: getattr(self, name) for name in shared},
             max_key_frames=self.episode_length,

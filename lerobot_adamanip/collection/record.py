@@ -312,7 +312,10 @@ def _start(
 
     def driver(generator: np.random.Generator) -> KeyFrames:
         # Always static, so that adaptive and static collections have the same late starts.
-        return make_expert(category, "static", env.annotations, generator=generator, hidden=env.hidden_state())
+        rules, hidden = spec.environment.mechanism_rules, env.hidden_state()
+        return make_expert(
+            category, "static", env.annotations, generator=generator, hidden=hidden, mechanism_rules=rules
+        )
 
     return start_late(env, start, reset, driver)
 

@@ -42,6 +42,7 @@ class Stream(enum.IntEnum):
     CORRECTION = 7
     RETRY = 8
     SENSING = 9
+    HINT = 10
 
 
 def episode_generator(seed: int, stream: Stream, category: str, *moment: int) -> np.random.Generator:

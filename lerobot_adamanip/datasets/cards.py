@@ -32,7 +32,7 @@ from lerobot_adamanip.datasets.check.features import OF_LEROBOT
 from lerobot_adamanip.datasets.collection_spec import (
     MANIFEST_FIELDS,
     OF_PICTURES,
-    OF_SENSORS,
+    OPTIONAL_FIELDS,
     CollectionSpec,
     manifest_path,
 )
@@ -368,8 +368,8 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     values |= {item.name: getattr(spec, item.name) for item in dataclasses.fields(spec) if item.name not in values}
     values |= {name: getattr(environment, name) for name in MANIFEST_FIELDS if name not in PYTHON_ONLY}
     values |= {name: getattr(environment, name) for name in OF_PICTURES}
-    sensed = {name: getattr(environment, name) for name in OF_SENSORS}
-    values |= {name: value for name, value in sensed.items() if value != OF_SENSORS[name]}
+    chosen = {name: getattr(environment, name) for name in OPTIONAL_FIELDS}
+    values |= {name: value for name, value in chosen.items() if value != OPTIONAL_FIELDS[name]}
     if environment.is_dense:
         values |= {name: getattr(environment, name) for name in ("control", "fps", "action", "state")}
         values |= {"cloud": environment.observe_cloud, "effort": environment.observe_effort}

@@ -175,8 +175,8 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
     more = DENSE_FIELDS if environment.is_dense else tuple(name for name in OF_PICTURES if plain[name] is not None)
-    sensed = tuple(name for name, default in OF_SENSORS.items() if plain[name] != default)
-    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more, *sensed)})
+    chosen = tuple(name for name, default in OPTIONAL_FIELDS.items() if plain[name] != default)
+    return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more, *chosen)})
 
 
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
@@ -201,13 +201,13 @@ MANIFEST_FIELDS = (
 """Environment options in a manifest."""
 OF_PICTURES = ("cameras", "image_source")
 """Environment options in a manifest of key frames if they are chosen."""
-OF_SENSORS = {"sensing": EXACT, "self_calibration": False}
+OPTIONAL_FIELDS = {"sensing": EXACT, "self_calibration": False, "hints": 0.0}
 """Environment options in a manifest if they differ from these defaults."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""
 RUNTIME_FIELDS = (
     "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
-    "logged_seeds",
+    "logged_seeds", "repeats",
 )  # fmt: skip
-"""Other options: category and objects have their own fields, the split is constant, paths are local, runs belong to
-evaluations, and its versions cover the renderer."""
+"""Other options: category and objects have their own fields, the split is constant, paths are local, runs and
+repeats belong to evaluations, and its versions cover the renderer."""

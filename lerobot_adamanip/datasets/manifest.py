@@ -23,7 +23,6 @@ from lerobot_adamanip.datasets.collection_spec import (
     MAX_EPISODES,
     MAX_OBJECTS,
     OF_PICTURES,
-    OF_SENSORS,
     CollectionPaths,
     CollectionSpec,
     environment_json,
@@ -245,18 +244,20 @@ _DENSE: Mapping[str, Check] = {
 }
 
 
-_SENSORS: Mapping[str, Check] = {
+_OPTIONAL: Mapping[str, Check] = {
     "sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts"),
     "self_calibration": flag,
+    "hints": number(0.0, 1.0),
 }
+"""Options that are there if they differ from their defaults."""
 
 
 def _environment(name: str, value: Any) -> Any:
     """Checks the options of the environments: those of dense control are there for it alone."""
     fields = value if isinstance(value, Mapping) else {}
     names = _DENSE if "control" in fields else [key for key in OF_PICTURES if key in fields]
-    sensors = {key: _SENSORS[key] for key in OF_SENSORS if key in fields}
-    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}, **sensors})(name, value)
+    chosen = {key: check for key, check in _OPTIONAL.items() if key in fields}
+    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}, **chosen})(name, value)
 
 
 _COLLECTION: Mapping[str, Check] = {

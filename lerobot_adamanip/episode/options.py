@@ -67,6 +67,8 @@ class EnvironmentOptions:
         mechanism_rules: see `lerobot_adamanip.mechanisms.MECHANISM_RULES`.
         max_key_frames: per episode.
         max_failed_tries: maximum failed tries; the next failed try ends the episode. A number, `BEST`, or None.
+        hints: share of episodes whose instruction says what is hidden, 0 ... 1; see `episode.hints`.
+        repeats: number of episodes in a row that play one scene, if their seeds follow each other.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
@@ -104,6 +106,8 @@ class EnvironmentOptions:
     mechanism_rules: str = "paper"
     max_key_frames: int = MAX_KEY_FRAMES
     max_failed_tries: int | str | None = None
+    hints: float = 0.0
+    repeats: int = 1
     hidden_overrides: Mapping[str, Any] = MappingProxyType({})
     split: str = "validation"
     seed_offset: int = 0
@@ -128,11 +132,11 @@ class EnvironmentOptions:
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.
         from lerobot_adamanip.catalog import select_objects
-        from lerobot_adamanip.mechanisms import MECHANISM_RULES
+        from lerobot_adamanip.mechanisms import require_rules
 
         select_objects(self.category, self.objects, self.assets)
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
-        require_choice("mechanism rules", self.mechanism_rules, MECHANISM_RULES)
+        require_rules(self.category, self.mechanism_rules)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         object.__setattr__(self, "sensing", "".join(self.sensing.lower().split()))
@@ -156,6 +160,9 @@ class EnvironmentOptions:
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
         object.__setattr__(self, "max_failed_tries", _tries(self.max_failed_tries))
+        if not 0 <= self.hints <= 1:
+            raise ConfigurationError("Wrong share of hints.", got=self.hints, allowed="0 ... 1", hint="--env.hints=0.5")
+        _check_range("number of repeats", self.repeats, (1, 1000), "--env.repeats=3")
         _check_range("seed offset", self.seed_offset, (0, 2**31), "seed_offset=0")
         _check_workspace(self.workspace)
         if self.logged_seeds is not None and not 0 <= self.logged_seeds[0] < self.logged_seeds[1]:

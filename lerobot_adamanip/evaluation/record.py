@@ -88,6 +88,7 @@ class EpisodeRecord:
         try_sequence: each try in order.
         max_failed_tries: failed tries allowed; None without a limit.
         joints: name -> final position [rad or m].
+        repeat: number of the episodes in a row before this one that played the same scene, see ``--env.repeats``.
         provenance: software and run.
     """
 
@@ -105,6 +106,7 @@ class EpisodeRecord:
     try_sequence: tuple[TryMade, ...]
     max_failed_tries: int | None
     joints: Mapping[str, float] = field(default_factory=dict)
+    repeat: int = 0
     provenance: Provenance
 
     @property
@@ -141,7 +143,8 @@ class EpisodeRecord:
     @property
     def identity(self) -> tuple[object, ...]:
         """Key of the episode, independent of the policy."""
-        return (self.seed, self.object_id, tuple(sorted(self.hidden_state.items())))
+        scene = (self.seed, self.object_id, tuple(sorted(self.hidden_state.items())))
+        return (*scene, self.repeat) if self.repeat else scene
 
     @property
     def evaluation(self) -> tuple[str | None, str | None, int]:
@@ -150,7 +153,8 @@ class EpisodeRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the record as a flat JSON object; includes ``category`` for other tools."""
-        own = {item.name: getattr(self, item.name) for item in fields(self) if item.name != "provenance"}
+        left_out = {"provenance"} if self.repeat else {"provenance", "repeat"}
+        own = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in left_out}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
         tries = [list(each) for each in self.try_sequence]
         provenance = {
@@ -162,7 +166,7 @@ class EpisodeRecord:
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
-        values = _RECORD("the record", content)
+        values = _RECORD("the record", {"repeat": 0, **content} if isinstance(content, Mapping) else content)
         values["mechanism_rules"] = values.pop(_STORED_RULES)
         category = values.pop("category")
         provenance = Provenance(**{item.name: values.pop(item.name) for item in fields(Provenance)})
@@ -345,6 +349,7 @@ _RECORD = json_fields.table(
         "key_frames": _COUNT,
         "max_key_frames": _COUNT,
         "max_failed_tries": json_fields.optional(_COUNT),
+        "repeat": _COUNT,
         "poses": json_fields.choice(POSES),
         "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),

@@ -103,6 +103,8 @@ class EvaluationSummary:
         repeats: number of dropped records whose episode appears again later.
         groups: metrics of each group; `ALL` always exists and comes first.
         objects: success by object id.
+        again: number of a repeat of a scene, 0 for the first episode -> success, and mean failed tries of its
+            successes; empty if no scene is repeated.
         made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; several values if
             evaluations were mixed.
         versions: installed versions of each episode, by name.
@@ -116,6 +118,7 @@ class EvaluationSummary:
     made_by: Mapping[str, tuple[str, ...]]
     versions: Sequence[Mapping[str, str]]
     limits: Mapping[str, tuple[str, ...]]
+    again: Mapping[int, tuple[Rate, Mean]]
 
     @property
     def scenes(self) -> str:
@@ -133,6 +136,7 @@ class EvaluationSummary:
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-serialisable dictionary, with LeRobot's keys for each success rate."""
+        again = [{"success": encode(success), "failed_tries": encode(tries)} for success, tries in self.again.values()]
         return {
             **self.overall.to_json(),
             "episodes": self.episodes,
@@ -146,6 +150,7 @@ class EvaluationSummary:
                 name: {"episodes": success.episodes, "failures": success.episodes - success.count}
                 for name, success in self.objects.items()
             },
+            **({"again": again} if again else {}),
             **{f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()},
             "installed": joined_versions(self.versions),
         }
@@ -170,7 +175,17 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
         versions=[record.provenance.versions for record in kept],
         limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
+        again=_again(kept) if max((record.repeat for record in kept), default=0) else {},
     )
+
+
+def _again(records: Sequence[EpisodeRecord]) -> dict[int, tuple[Rate, Mean]]:
+    result = {}
+    for number in sorted({record.repeat for record in records}):
+        part = [record for record in records if record.repeat == number]
+        tries = [record.failed_tries for record in part if record.success]
+        result[number] = rate(len(tries), len(part)), Mean(sum(tries), len(tries))
+    return result
 
 
 @dataclass(frozen=True)
@@ -250,6 +265,10 @@ class Comparison:
                 for name, success in summary.objects.items()
                 if success.count < success.episodes
             ]
+            for number, (success, tries) in summary.again.items():
+                mean = "-" if tries.value is None else f"{tries.value:.2f}"
+                opened = f"{success.count}/{success.episodes} opened"
+                yield f"Episode {number + 1} in a scene, {label}: {opened}, {mean} failed tries of a success"
             yield f"Failures by object, {label}: {', '.join(failed) or 'none'}"
         yield from (f"Warning: {warning}" for warning in self.warnings())
 

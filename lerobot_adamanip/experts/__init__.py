@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames, Outcome, Phase
-from lerobot_adamanip.experts import lamp, microwave, safe, turn_to_open
+from lerobot_adamanip.experts import lamp, locks, microwave, safe, turn_to_open
 from lerobot_adamanip.experts.belief import Belief, Hidden, Knowledge, Parts
 from lerobot_adamanip.experts.primitives import Hand
 from lerobot_adamanip.experts.turn_to_open import TurnToOpen
-from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, fixed_direction
+from lerobot_adamanip.mechanisms import DEFAULT_MECHANISM_RULES, fixed_direction, require_rules
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
@@ -35,7 +35,7 @@ class Expert:
     adaptive: Callable[[Hand, Knowledge], KeyFrames]
     static: Callable[[Hand, Parts, Hidden], KeyFrames]
     sequence: str
-    others: Mapping[str, TurnToOpen] = field(default_factory=dict)
+    others: Mapping[str, TurnToOpen | locks.Locks] = field(default_factory=dict)
 
 
 def _turned(style: TurnToOpen, not_before: float) -> Expert:
@@ -58,6 +58,20 @@ EXPERTS: Mapping[str, Expert] = {
     "door": _turned(turn_to_open.DOOR, 0.44625),
     "lamp": Expert(lamp.adaptive, lamp.static, lamp.SEQUENCE),
 }
+COMPOSED_EXPERTS: Mapping[str, Mapping[str, Expert]] = {
+    "row": {
+        name: Expert(each.adaptive, each.static, locks.ROW_SEQUENCE, {"to_stop": each.to_stop})
+        for name, each in locks.LOCKS_OF.items()
+    },
+    "changing": {
+        **{
+            name: Expert(each.changing, each.changing_with_sight, locks.CHANGING_SEQUENCE)
+            for name, each in locks.LOCKS_OF.items()
+        },
+        "microwave": Expert(microwave.changing, microwave.changing_with_sight, microwave.CHANGING_SEQUENCE),
+    },
+}
+"""Experts for mechanism rules that need others: rules -> category -> expert."""
 
 
 def make_expert(
@@ -84,7 +98,8 @@ def make_expert(
         trials: failed tries of a motion before the adaptive expert chooses another, at least 1.
         hidden: the hidden state; the static expert needs it, the adaptive one refuses it.
         strategy: ``paper``, or a key of `Expert.others`; ``paper`` if the category lacks it. For the adaptive expert.
-        mechanism_rules: rules of the environment. An adaptive expert knows a direction that they fix for all episodes.
+        mechanism_rules: rules of the environment; some have experts of their own, see `COMPOSED_EXPERTS`. An adaptive
+            expert knows a direction that they fix for all episodes.
         positions: joint -> position at the start [rad or m], as a camera sees it; default at rest.
         feedback: feedback at the start, if the hand may hold or touch a part. The expert then continues from there.
         belief: results of tries made before this expert took over.
@@ -92,7 +107,8 @@ def make_expert(
     Raises:
         ConfigurationError: unknown name, too few trials, or a hidden state that is missing or not allowed.
     """
-    expert = EXPERTS[require_choice("category", category, EXPERTS)]
+    require_choice("category", category, EXPERTS)
+    expert = COMPOSED_EXPERTS.get(require_rules(category, mechanism_rules), EXPERTS)[category]
     hand = Hand(generator, trials, dict(positions or {}), belief=belief or Belief())
     _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
     if hidden is not None:

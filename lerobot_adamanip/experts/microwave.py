@@ -13,6 +13,7 @@ from lerobot_adamanip.objects import PartAnnotation
 
 PUSH = 0.03
 """Commanded depth of a push [m], past the travel of every button, so that the button's stop ends it."""
+CHANGING_SEQUENCE = "push button with the closed hand; pull door; after a failed pull push and pull again"
 SEQUENCE = "pull door; if it is blocked: let go, push button with the closed hand, pull again"
 
 
@@ -33,6 +34,23 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
         if (yield from pull_door(hand, handle, "door")) is Opening.DONE:
             return
         yield from hand.release()
+
+
+def changing(hand: Hand, known: Knowledge) -> KeyFrames:
+    """Opens a microwave that is always locked and may lock again: pushes, pulls, and pushes after a failed pull."""
+    yield from _push_first(hand, known.parts)
+
+
+def changing_with_sight(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
+    """Opens it as `changing` does: sight of the hidden state saves no try."""
+    yield from _push_first(hand, parts)
+
+
+def _push_first(hand: Hand, parts: Parts) -> KeyFrames:
+    def push() -> Frames:
+        yield from push_button(hand, parts["button"])
+
+    yield from open_by_trial(hand, parts["handle"], push, unlock_first=not hand.is_ajar(parts["handle"], "door"))
 
 
 def push_button(hand: Hand, button: PartAnnotation) -> Frames:

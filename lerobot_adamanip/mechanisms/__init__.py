@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from lerobot_adamanip.mechanisms.base import Limits, Mechanism, Overrides, Positions
 from lerobot_adamanip.mechanisms.best_tries import best_tries
+from lerobot_adamanip.mechanisms.composed import ChangingMechanism, RowMechanism
 from lerobot_adamanip.mechanisms.families import (
     LampMechanism,
     MicrowaveMechanism,
@@ -19,13 +20,17 @@ from lerobot_adamanip.mechanisms.table import (
     MECHANISM_RULES,
     RULES,
     CategoryRules,
+    categories_with,
     fixed_direction,
     infeasible,
     make_mechanism,
+    require_rules,
+    rules_of,
 )
 
 __all__ = [
-    "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "LampMechanism", "Limits",
-    "Mechanism", "MicrowaveMechanism", "Overrides", "Positions", "SafeMechanism", "TurnToOpenMechanism",
-    "best_tries", "fixed_direction", "infeasible", "make_mechanism",
+    "DEFAULT_MECHANISM_RULES", "LIFTED", "MECHANISM_RULES", "RULES", "CategoryRules", "ChangingMechanism",
+    "LampMechanism", "Limits", "Mechanism", "MicrowaveMechanism", "Overrides", "Positions", "RowMechanism",
+    "SafeMechanism", "TurnToOpenMechanism", "best_tries", "categories_with", "fixed_direction", "infeasible",
+    "make_mechanism", "require_rules", "rules_of",
 ]  # fmt: skip

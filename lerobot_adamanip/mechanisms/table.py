@@ -8,7 +8,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.mechanisms.base import Mechanism
+from lerobot_adamanip.mechanisms.composed import NOTCH, PLAY, ChangingMechanism, RowMechanism
 from lerobot_adamanip.mechanisms.families import (
+    BUTTON_RELEASE,
+    KNOB_RANGE,
+    TURN_RANGE,
+    TURN_RELEASE,
     LampMechanism,
     MicrowaveMechanism,
     SafeMechanism,
@@ -23,6 +28,8 @@ MECHANISM_RULES: Mapping[str, str] = {
     "paper": "what the paper's text says",
     "upstream": "what its released code does",
     "hard": "ours: the paper's, and every part that turns to open draws its direction",
+    "row": "ours: three locks in a row; the motion that frees each is hidden",
+    "changing": "ours: a lock that may shut again at the first pull, and then turns anew",
 }
 DEFAULT_MECHANISM_RULES = "paper"
 LIFTED = 0.025
@@ -32,6 +39,7 @@ SWUNG, SASH_SWUNG = math.pi / 7, math.pi / 6
 GOAL_MARGIN = 1.1
 """Least ratio of a joint's limit to its goal, because success means being beyond the goal."""
 Build = Callable[["ArticulatedObject", float, bool], Mechanism[Any]]
+Composed = Callable[["ArticulatedObject"], Mechanism[Any]]
 
 
 @dataclass(frozen=True)
@@ -137,17 +145,106 @@ RULES: Mapping[str, CategoryRules] = {
 }  # fmt: skip
 
 
+def _row(key: str, final: str, success: float, fractions: tuple[float, float] = TURN_RANGE) -> Composed:
+    def build(obj: ArticulatedObject) -> RowMechanism:
+        opens = obj.joint(final)
+        return RowMechanism(
+            key,
+            final,
+            key_range=obj.joint(key).limits[1],
+            fractions=fractions,
+            final_upper=opens.limits[1],
+            notch=NOTCH[opens.kind],
+            success=success,
+        )
+
+    return build
+
+
+def _changing(
+    key: str,
+    final: str,
+    success: float,
+    fractions: tuple[float, float] = TURN_RANGE,
+    release: float = TURN_RELEASE,
+    *,
+    has_directions: bool = True,
+) -> Composed:
+    def build(obj: ArticulatedObject) -> ChangingMechanism:
+        opens = obj.joint(final)
+        return ChangingMechanism(
+            key,
+            final,
+            key_range=obj.joint(key).limits[1],
+            fractions=fractions,
+            release=release,
+            final_upper=opens.limits[1],
+            play=PLAY[opens.kind],
+            success=success,
+            has_directions=has_directions,
+        )
+
+    return build
+
+
+_TURNED: Mapping[str, tuple[Any, ...]] = {
+    "bottle": ("cap", "lift", LIFTED),
+    "pen": ("cap", "lift", LIFTED),
+    "pressure_cooker": ("lid", "lift", LIFTED),
+    "coffee_maker": ("portafilter", "drop", LIFTED),
+    "safe": ("knob", "door", SWUNG, KNOB_RANGE),
+    "window": ("handle", "sash", SASH_SWUNG),
+    "door": ("lever", "leaf", SWUNG),
+}
+COMPOSED: Mapping[str, Mapping[str, Composed]] = {
+    "row": {name: _row(*parts) for name, parts in _TURNED.items()},
+    "changing": {
+        **{name: _changing(*parts) for name, parts in _TURNED.items()},
+        "microwave": _changing("button", "door", SWUNG, (1.0, 1.0), BUTTON_RELEASE, has_directions=False),
+    },
+}
+"""Rules that not every category has: rules -> category -> build. A lamp has no part that opens; the button of a
+microwave moves one way only, and springs back."""
+
+
+def categories_with(rules: str) -> tuple[str, ...]:
+    """Returns the categories that have mechanism rules; raises `ConfigurationError` for unknown rules."""
+    require_choice("mechanism rules", rules, MECHANISM_RULES)
+    return tuple(name for name in RULES if name in COMPOSED.get(rules, RULES))
+
+
+def rules_of(category: str) -> tuple[str, ...]:
+    """Returns the mechanism rules that a category has."""
+    return tuple(rules for rules in MECHANISM_RULES if category in categories_with(rules))
+
+
+def require_rules(category: str, rules: str) -> str:
+    """Returns ``rules``; raises `ConfigurationError` for unknown names, and if the category does not have them."""
+    require_choice("category", category, RULES)
+    if category not in (allowed := categories_with(rules)):
+        raise ConfigurationError(
+            f"The mechanism rules {rules!r} do not exist for this category.",
+            got=category,
+            allowed=", ".join(allowed),
+            hint=f"--env.type=adamanip_{allowed[0]}, or --env.type=adamanip --env.categories={','.join(allowed)}",
+        )
+    return rules
+
+
 def fixed_direction(category: str, rules: str = DEFAULT_MECHANISM_RULES) -> int | None:
     """Returns the direction of a category's key, +1 or -1, if it is equal in every episode; None if it is drawn.
 
     Raises `ConfigurationError` for an unknown category or rules.
     """
     row = RULES[require_choice("category", category, RULES)]
-    return None if require_choice("mechanism rules", rules, MECHANISM_RULES) == "hard" else row.fixed_direction
+    is_drawn = require_choice("mechanism rules", rules, MECHANISM_RULES) in ("hard", *COMPOSED)
+    return None if is_drawn else row.fixed_direction
 
 
 def make_mechanism(obj: ArticulatedObject, rules: str = DEFAULT_MECHANISM_RULES) -> Mechanism[Any]:
-    """Returns an object's mechanism, by its category; raises `ConfigurationError` for unknown ``rules``."""
+    """Returns an object's mechanism, by its category; raises `ConfigurationError` for ``rules`` that it lacks."""
+    if require_rules(obj.category, rules) in COMPOSED:
+        return COMPOSED[rules][obj.category](obj)
     direction = fixed_direction(obj.category, rules)
     p_positive = 0.5 if direction is None else float(direction > 0)
     return RULES[obj.category].build(obj, p_positive, rules == "upstream")

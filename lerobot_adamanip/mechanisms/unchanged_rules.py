@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from lerobot_adamanip.mechanisms.table import DEFAULT_MECHANISM_RULES, RULES, fixed_direction
+from lerobot_adamanip.mechanisms.table import COMPOSED, DEFAULT_MECHANISM_RULES, RULES, fixed_direction
 
 _UPSTREAM = ("safe",)
 """Categories in which upstream's code differs from the paper's text; a test compares the mechanisms."""
@@ -14,6 +14,8 @@ def changed_categories(rules: str) -> tuple[str, ...]:
     """Returns the categories in which ``rules`` differ from the default ones."""
     if rules == "upstream":
         return _UPSTREAM
+    if rules in COMPOSED:
+        return tuple(COMPOSED[rules])
     return tuple(name for name in RULES if fixed_direction(name, rules) != fixed_direction(name))
 
 

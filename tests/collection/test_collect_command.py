@@ -12,7 +12,7 @@ from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.collection import trained_policy
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.datasets.cards import PYTHON_ONLY, collect_command
-from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, OF_SENSORS, CollectionSpec
+from lerobot_adamanip.datasets.collection_spec import MANIFEST_FIELDS, OPTIONAL_FIELDS, CollectionSpec
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_env_adamanip.sim import render_device
@@ -21,7 +21,7 @@ _CHANGED: dict[str, Any] = {
     "expert": "static", "expert_strategy": "to_stop", "episodes_per_object": 7, "trials": 2, "seed": 5,
     "late_starts": 0.25, "keep_failed": True, "policy": "a" * 32, "expert_share": 0.75, "num_points": 512,
     "image_size": 32, "observe_images": True, "cloud_source": "render", "poses": "fixed", "mechanism_rules": "hard",
-    "max_failed_tries": "best", "sensing": "d435,camera_error_mm=20", "self_calibration": True,
+    "max_failed_tries": "best", "sensing": "d435,camera_error_mm=20", "self_calibration": True, "hints": 0.5,
 }  # fmt: skip
 """Another value than the default for every field that a command can set."""
 
@@ -43,7 +43,7 @@ def _options(spec: CollectionSpec) -> object:
 
 def test_every_option_of_a_collection_can_be_given_by_its_command_or_is_known_to_have_none() -> None:
     fields = {field.name for field in dataclasses.fields(CollectionSpec)} - {"environment", "objects"}
-    assert {*_CHANGED, *PYTHON_ONLY} == fields | {*MANIFEST_FIELDS, *OF_SENSORS}
+    assert {*_CHANGED, *PYTHON_ONLY} == fields | {*MANIFEST_FIELDS, *OPTIONAL_FIELDS}
 
 
 @pytest.mark.parametrize("name", sorted(_CHANGED))
@@ -51,7 +51,7 @@ def test_a_command_parses_back_to_its_collection(name: str, monkeypatch: pytest.
     monkeypatch.setattr(trained_policy, "policy_hash", lambda folder: "a" * 32)
     spec = CollectionSpec(EnvironmentOptions(), ("safe_000", "safe_001"))
     value = _CHANGED[name]
-    if name in (*MANIFEST_FIELDS, *OF_SENSORS):
+    if name in (*MANIFEST_FIELDS, *OPTIONAL_FIELDS):
         changed = dataclasses.replace(spec, environment=spec.environment.changed(**{name: value}))
     elif name in ("policy", "expert_share"):
         changed = dataclasses.replace(spec, policy="a" * 32, expert_share=0.3 if name == "policy" else value)

@@ -15,7 +15,7 @@ from lerobot_adamanip.datasets.collection_spec import (
     DEMO_SEED_START,
     DENSE_FIELDS,
     MANIFEST_FIELDS,
-    OF_SENSORS,
+    OPTIONAL_FIELDS,
     RUNTIME_FIELDS,
     episode_seed,
 )
@@ -49,7 +49,7 @@ def test_a_prefix_of_a_collection_is_balanced_and_a_longer_one_starts_with_a_sho
 
 def test_every_option_of_an_environment_is_in_the_manifest_or_said_not_to_be() -> None:
     """An option that is added and decides data has to be written down, or datasets cannot tell it."""
-    written = {*MANIFEST_FIELDS, *DENSE_FIELDS, *OF_SENSORS}
+    written = {*MANIFEST_FIELDS, *DENSE_FIELDS, *OPTIONAL_FIELDS}
     assert {*written, *RUNTIME_FIELDS} == {item.name for item in fields(EnvironmentOptions)}
     assert not set(MANIFEST_FIELDS) & set(RUNTIME_FIELDS)
 

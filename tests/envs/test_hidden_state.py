@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from typing import Any
 
@@ -15,6 +16,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import PRE_GRASP, Goal
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.experts import Phase, make_expert
+from lerobot_env_adamanip.simulator import make_task
 
 pytestmark = pytest.mark.sim
 NO_VULKAN = "nonexistent" in os.environ.get("VK_DRIVER_FILES", "")
@@ -41,6 +43,28 @@ def test_nothing_shows_until_the_part_is_held(task: Any, category: str) -> None:
         assert {"cloud"} | pictures <= set(first[0]) & set(first[-1])
         for other in others:
             assert script.differences(first, other) == ()
+
+
+SEVERAL_LOCKS = {
+    "row": (
+        {"direction": 1, "turn_range": 0.6, "second_pulls": True, "third_pulls": False},
+        {"direction": -1, "turn_range": 1.0, "second_pulls": False, "third_pulls": True},
+    ),
+    "changing": (
+        {"direction": 1, "later_direction": 1, "turn_range": 0.6, "relocks": True},
+        {"direction": -1, "later_direction": 1, "turn_range": 1.0, "relocks": False},
+    ),
+}
+
+
+@at_once_or_at_night("rules", SEVERAL_LOCKS, ("row",))
+def test_nothing_shows_of_several_locks_until_the_part_is_held(rules: str) -> None:
+    with contextlib.closing(make_task("door", mechanism_rules=rules)) as door:
+        first, other = (
+            script.frames_until_held(door, TELLTALE["door"][0], hidden, image=False) for hidden in SEVERAL_LOCKS[rules]
+        )
+    assert len(first) >= 4
+    assert script.differences(first, other) == ()
 
 
 @at_once_or_at_night("category", TELLTALE, ("door",))

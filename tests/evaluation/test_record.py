@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from records import record
 
 from lerobot_adamanip.evaluation.record import LABEL, EpisodeRecord, append_record, new_run_id, read_log
+from lerobot_adamanip.evaluation.report import compare
 from lerobot_adamanip.util.errors import DatasetError
 
 GOOD: dict[str, Any] = record(locked=True, seed=1000, blocked_pulls=1, object_id="safe_003").to_json()
@@ -110,3 +111,18 @@ def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:
     (tmp_path / "binary").write_bytes(bytes(range(128, 256)))
     with pytest.raises(DatasetError, match="no episode log"):
         read_log(tmp_path / "binary")
+
+
+def test_a_repeat_is_an_episode_of_its_own_and_its_tries_are_reported_apart() -> None:
+    plain, again = record(), record(repeat=1, blocked_pulls=1)
+    assert "repeat" not in plain.to_json(), "a log without repeats is as before"
+    assert EpisodeRecord.from_json(json.loads(json.dumps(again.to_json()))) == again
+    assert plain.identity != again.identity == (*plain.identity, 1)
+    several = [record(seed=seed, repeat=number, blocked_pulls=2 - number) for seed in (1, 2) for number in range(3)]
+    comparison = compare({"policy": [*several, record(seed=3, repeat=2, success=False)]})
+    lines = [line for line in comparison.lines() if line.startswith("Episode ")]
+    expected = [(2, 2, "2.00"), (2, 2, "1.00"), (2, 3, "0.00")]
+    for line, (opened, episodes, tries) in zip(lines, expected, strict=True):
+        assert f": {opened}/{episodes} opened, {tries} failed tries" in line
+    assert not any(line.startswith("Episode ") for line in compare({"policy": [plain]}).lines())
+    assert [each["success"] for each in comparison.to_json()["evaluations"][0]["again"]] == [[2, 2], [2, 2], [2, 3]]

@@ -144,7 +144,7 @@ class KinematicWorld:
         """Buttons come back as soon as nothing pushes them, levers when they are let go; lids fall shut."""
         for joint in self.joints:
             if self.held is None and (self.obj.joint(joint).stiffness > 0 or joint == "lift"):
-                self.joints[joint] = 0.0
+                self.joints[joint] = float(np.clip(0.0, *self._limits()[joint]))  # a lock may keep a lever
             elif self.held is None and joint == "drop" and self.joints[joint] > 1e-3:
                 self.joints[joint] = self._limits()[joint][1]
 
@@ -263,7 +263,8 @@ def adaptive(world: KinematicWorld, seed: int = 0, trials: int = 1, preset: str 
 
 def static(world: KinematicWorld, seed: int = 0, **known: Any) -> KeyFrames:
     rng, category = np.random.default_rng(seed), world.obj.category
-    return make_expert(category, "static", world.parts, generator=rng, hidden=world.hidden, **known)
+    options: dict[str, Any] = {"hidden": world.hidden, "mechanism_rules": world.preset, **known}
+    return make_expert(category, "static", world.parts, generator=rng, **options)
 
 
 def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase]]:

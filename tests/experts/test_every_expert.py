@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import EXPERT_STRATEGIES, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
-from lerobot_adamanip.mechanisms import MECHANISM_RULES
+from lerobot_adamanip.mechanisms import rules_of
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.geometry import motion_between
@@ -46,8 +46,10 @@ def test_trial_and_error_succeeds_within_an_episode(
             assert moved < 1e-9, "fingers open and close where the hand is"
 
 
-@pytest.mark.parametrize("presets", list(itertools.product(MECHANISM_RULES, EXPERT_STRATEGIES)), ids="-".join)
-@every_category
+@pytest.mark.parametrize(
+    ("category", "presets"),
+    [(name, pair) for name in CATEGORIES for pair in itertools.product(rules_of(name), EXPERT_STRATEGIES)],
+)
 @settings(max_examples=3, deadline=None)
 @given(st.data(), seeds, seeds)
 def test_it_succeeds_under_every_preset(

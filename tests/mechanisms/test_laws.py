@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from ideal_joints import CAP, LAMP, LEVER, MICROWAVE, SAFE, TRAVEL, TURN_LOCKS, UPPER, Joints, limits_after, play
 
 from lerobot_adamanip.catalog import make_object
-from lerobot_adamanip.mechanisms import MECHANISM_RULES, Mechanism, make_mechanism
+from lerobot_adamanip.mechanisms import Mechanism, make_mechanism
 
 some = settings(max_examples=40, deadline=None)
 SHUT = (0.0, 0.0)
@@ -137,7 +137,7 @@ def test_turning_locks_only_a_shut_door_that_was_not_locked_and_only_in_upstream
     assert unlocked.after(unlocked.at(0.16, 0.3), unlocked.at(0.0, 0.3)) == (0.0, UPPER)
     assert locked.after(locked.at(0.16), locked.at(1.0)) == (0.0, UPPER)
     assert Shut(SAFE, unlocked.hidden, 1.4, 0.85).after(unlocked.at(1.0), unlocked.at(0.16)) == (0.0, UPPER)
-    for preset in MECHANISM_RULES:
+    for preset in ("paper", "upstream", "hard"):
         mechanism = make_mechanism(make_object("safe_000"), preset)
         door = limits_after(mechanism, {"locked": False, "direction": 1}, {"knob": 0.3})["door"]
         assert (door == SHUT) is ("locks it" in mechanism.rules()["thresholds"]) is (preset == "upstream")

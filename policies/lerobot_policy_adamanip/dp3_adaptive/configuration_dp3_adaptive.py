@@ -180,6 +180,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Use results of past actions as inputs: the undone motion, and the reached gripper opening (fast True, diffusion
     # True, dense True).
     use_feedback: bool = from_preset()
+    # Run time only: episodes in a row that share the history of actions, as --env.repeats=K plays one scene K times.
+    memory_episodes: int = 1
     # Size of the memory of contact events (fast 64, diffusion 64, dense 64).
     memory_dim: int = from_preset()
     # Number of anchors, typical motions of the demonstrations. The head diffusion uses them to know which poses to
@@ -278,6 +280,10 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 f"down_dims that {UNET_GROUPS} divides, some encoder_dims, {', '.join(COUNTS)} >= 1, "
                 f"num_refinements >= 0, num_inference_steps <= {TRAIN_TIMESTEPS}",
                 f"--policy.preset={self.preset}, and none of these",
+            )
+        if self.memory_episodes < 1:
+            raise self._error(
+                "Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3"
             )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")

@@ -81,6 +81,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
         if self.recorded is not None and config.method.has_rules:
             self.fit_anchors(*demonstrated_motions(self.recorded))
+        self._episodes = 0
         self.reset()
 
     def _make_head(self, stats: schema.Statistics | None) -> Any:
@@ -222,12 +223,19 @@ class DP3AdaptivePolicy(CloudPolicy):
     # Run time: observation -> window -> action ----------------------------------------------------------------------
 
     def reset(self) -> None:
-        """Clears the histories at an episode's start."""
+        """Clears the histories at an episode's start; with ``memory_episodes`` of K, at every K-th.
+
+        Only an episode in which the policy has acted counts: LeRobot also resets before the first one.
+        """
+        self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
+        self._chunks = ChunkGuard(self.name)
+        self._episodes += bool(self._episodes == 0 or self._executed)
+        if 1 < self._episodes <= self.config.memory_episodes:
+            return
+        self._episodes = 1
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=None if self._has_strokes else self._observed_steps)
         length = None if self._has_strokes else max(1, self.config.n_action_history_steps)
         self._executed: deque[Tensor] = deque(maxlen=length)
-        self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
-        self._chunks = ChunkGuard(self.name)
 
     @torch.no_grad()
     def select_action(self, batch: dict[str, Tensor], noise: Tensor | None = None, **kwargs: Any) -> Tensor:

@@ -131,3 +131,20 @@ def test_an_action_is_remembered_as_the_environment_receives_it(make_tiny: MakeT
     remembered = policy.executed_history(1, action)[0][:, -1]
     torch.testing.assert_close(remembered[:, 3:], after(action)[:, 3:])
     assert torch.equal(remembered[:, :3], raw[:, :3])
+
+
+def test_a_memory_is_kept_over_as_many_episodes_as_told(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(memory_episodes=3)
+    policy.eval()
+    policy.reset()  # before the first episode, as LeRobot does
+    lengths = []
+    for _ in range(5):
+        for row in range(2):
+            action = policy.select_action(observation_of(dataset, before, row))
+        lengths.append(int(policy.executed_history(1, action)[1].sum()))
+        policy.reset()
+    most = policy.config.n_action_history_steps
+    assert lengths == [min(most, count) for count in (2, 4, 6, 2, 4)]
+    policy.config.memory_episodes = 1
+    policy.reset()
+    assert not policy.executed_history(1, action)[1].any()

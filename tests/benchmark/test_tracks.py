@@ -1,0 +1,86 @@
+"""The declaration of the tracks: every cell can be planned, and held-out categories are in no training."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from benchmark_helpers import SCALE, VERSIONS, content
+
+from lerobot_adamanip.benchmark import declaration
+from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, MERGE, Cell, Step, all_cells, plan
+from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.mechanisms import categories_with
+
+TRACKS = read_declaration(Path(declaration.__file__).with_name("tracks.toml"))
+
+
+def chain(scale: str, method: str, category: str) -> list[Step]:
+    cell = Cell(method=method, category=category, objects="unseen", seed=1000)
+    return list(plan(cell, TRACKS, scale, VERSIONS).chain())
+
+
+def options(step: Step) -> dict[str, str]:
+    return dict(word.split("=", 1) for word in step.command if word.startswith("--") and "=" in word)
+
+
+@pytest.mark.parametrize("scale", TRACKS.scales)
+def test_every_cell_of_a_track_is_planned_with_its_expert_and_luck(scale: str) -> None:
+    methods = TRACKS.methods_of(scale)
+    assert {"expert", "luck"} < set(methods)
+    assert len(methods) >= 4
+    for cell in all_cells(TRACKS, scale):
+        assert plan(cell, TRACKS, scale, VERSIONS).kind == EVALUATE
+    luck, expert = (options(chain(scale, name, "door")[-1]) for name in ("luck", "expert"))
+    assert luck.pop("--max-failed-tries") == "0"
+    assert expert.pop("--max-failed-tries") == "best"
+    assert {**luck, "--episode-log": ""} == {**expert, "--episode-log": ""}
+
+
+@pytest.mark.parametrize("scale", ["held_out_category", "held_out_category_five"])
+def test_no_training_sees_a_held_out_category_beyond_what_is_declared(scale: str) -> None:
+    trainings: dict[str, set[str]] = {}
+    for category in TRACKS.scale(scale).categories:
+        steps = chain(scale, "dp3_adaptive_elsewhere", category)
+        group = next(group for group in TRACKS.scale(scale).held_out if category in group)
+        collected = [options(step) for step in steps if step.kind == COLLECT]
+        seen = {each["--category"]: each["--objects"] for each in collected}
+        few = {category: "0:5"} if scale.endswith("five") else {}
+        assert seen == {**dict.fromkeys(set(CATEGORIES) - set(group), "seen"), **few}
+        assert sum(step.kind == MERGE for step in steps) == 1
+        trainings.setdefault(str(group), set()).add(steps[-2].key)
+    assert {len(keys) for keys in trainings.values()} == {2 if scale.endswith("five") else 1}, "shared if equal"
+
+
+@pytest.mark.parametrize(("scale", "rules"), [("row", "row"), ("changing", "changing")])
+def test_rules_of_a_scale_are_those_of_its_demonstrations_and_evaluations(scale: str, rules: str) -> None:
+    assert set(TRACKS.scale(scale).categories) == set(categories_with(rules))
+    steps = chain(scale, "dp3_adaptive", "door")
+    assert options(steps[0])["--mechanism-rules"] == options(steps[-1])["--env.mechanism_rules"] == rules
+
+
+def test_hints_and_repeats_reach_the_commands() -> None:
+    steps = chain("hints", "dp3_adaptive_told", "door")
+    assert (options(steps[0])["--hints"], options(steps[-1])["--env.hints"]) == ("0.5", "0.5")
+    kept = options(chain("again", "dp3_adaptive_remembering", "door")[-1])
+    assert kept["--env.repeats"] == kept["--policy.memory_episodes"] == "3"
+    assert kept["--eval.batch_size"] == "1"
+    assert int(kept["--eval.n_episodes"]) % 3 == 0
+    assert options(chain("again", "expert", "door")[-1])["--repeats"] == "3"
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"held_out": [["safe"]]}, "has no data_of"), ({"shown": 5}, "shown needs held_out"),
+        ({"held_out": [["fridge"]]}, "held_out"), ({"mechanism_rules": "rows"}, "mechanism_rules"),
+        ({"hints": 2.0}, "hints"),
+    ],
+)  # fmt: skip
+def test_a_wrong_track_is_named(changes: dict[str, Any], message: str) -> None:
+    written = content()
+    written["scales"][SCALE].update(changes)
+    with pytest.raises(ValueError, match=message):
+        parse_declaration(written)
