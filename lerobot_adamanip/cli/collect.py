@@ -82,6 +82,10 @@ class CollectCommand:
     """Source of pictures. raycast: on any machine. render: needs Vulkan. Default: raycast in dense control, else
     render."""
 
+    memory: Literal["none", "events", "text"] = "none"
+    """Memory of felt tries. events: numbers in observation.environment_state, for ACT and diffusion. text: a sentence
+    after the instruction, for SmolVLA and pi0.5. `adamanip memory` adds it later."""
+
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
@@ -222,6 +226,7 @@ class CollectCommand:
             state=self.state,
             observe_cloud=self.cloud,
             observe_effort=self.effort,
+            memory=self.memory,
             cameras=self.cameras or None,
             image_source=self.image_source,
         )

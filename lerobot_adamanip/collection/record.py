@@ -34,6 +34,7 @@ from lerobot_adamanip.datasets.episode import EpisodeDescription, start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes, write_shard_bytes
 from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRecorder, DenseStep, dense_rollout
+from lerobot_adamanip.episode.memory import with_row_tasks
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, SimulatedEnvironment, rollout
 from lerobot_adamanip.util import files
@@ -297,7 +298,9 @@ def attempt_episode(
         episode_record=episode_record,
     )
     attempt = Attempt(request.seed, hidden, result.success, result.reason, result.key_frames, late)
-    return attempt, RecordedEpisode(recorder.columns(), description.record(env.task_description))
+    columns = recorder.columns()
+    record_of_rows = with_row_tasks(description.record(env.task_description), columns, spec.environment)
+    return attempt, RecordedEpisode(columns, record_of_rows)
 
 
 def _start(

@@ -26,6 +26,7 @@ from lerobot_adamanip.contract.control import (
     JOINT,
     STATES,
 )
+from lerobot_adamanip.contract.memory import MEMORY, NO_MEMORY
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
@@ -63,6 +64,7 @@ COLUMNS = {
     schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
     schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
     schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove and `action` corrects it",
+    MEMORY: "memory of the latest 4 felt tries, from poses and commands alone: see docs/lerobot_policies.md",
     schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
@@ -365,6 +367,8 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
     if environment.is_dense:
         values |= {name: getattr(environment, name) for name in ("control", "fps", "action", "state")}
         values |= {"cloud": environment.observe_cloud, "effort": environment.observe_effort}
+    if environment.memory != NO_MEMORY:
+        values["memory"] = environment.memory
     if values["cameras"] is not None:
         values["cameras"] = " ".join(values["cameras"])
     values |= {"environment": None, "assets": None if environment.assets is None else "ASSETS"}

@@ -13,6 +13,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, NO_MEMORY, memory_feature
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.datasets.output_folder import COLLECTING
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts, to_stored
@@ -174,15 +175,17 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
     """Returns the environment options that manifests hold: those that decide the data, without local paths."""
     plain = environment.to_json()
     more = DENSE_FIELDS if environment.is_dense else tuple(name for name in OF_PICTURES if plain[name] is not None)
+    more = more if environment.memory == NO_MEMORY else (*more, "memory")
     return to_stored({name: plain[name] for name in (*MANIFEST_FIELDS, *more)})
 
 
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
     """Returns the features of a dataset of these environments; ``observe_images`` is resolved."""
     cameras = environment.observed_cameras if environment.observe_images else ()
+    memory = {MEMORY: memory_feature()} if environment.memory == EVENTS else {}
     if not environment.is_dense:
-        return schema.dataset_features(environment.num_points, environment.image_size, cameras=cameras)
-    return schema.dense_features(
+        return schema.dataset_features(environment.num_points, environment.image_size, cameras=cameras) | memory
+    dense = schema.dense_features(
         ACTION_NAMES[environment.action],
         STATES[environment.state],
         image_size=environment.image_size,
@@ -190,6 +193,7 @@ def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
         num_points=environment.num_points if environment.observe_cloud else None,
         has_effort=environment.observe_effort,
     )
+    return dense | memory
 
 
 MANIFEST_FIELDS = (

@@ -17,6 +17,7 @@ from lerobot_adamanip.assets import AssetSource, is_asset_id
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, RATES, STATES
+from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
@@ -242,13 +243,15 @@ _DENSE: Mapping[str, Check] = {
     "cameras": optional(listing(choice(tuple(CAMERAS)), 1, len(CAMERAS))),
     "image_source": optional(choice(IMAGE_SOURCES)),
 }
+_MEMORY: Mapping[str, Check] = {"memory": choice((EVENTS, TEXT))}
 
 
 def _environment(name: str, value: Any) -> Any:
-    """Checks the options of the environments: those of dense control are there for it alone."""
+    """Checks the options of the environments: those of dense control and a memory are there for it alone."""
     fields = value if isinstance(value, Mapping) else {}
     names = _DENSE if "control" in fields else [key for key in OF_PICTURES if key in fields]
-    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}})(name, value)
+    memory = _MEMORY if "memory" in fields else {}
+    return table({**_ENVIRONMENT, **{key: _DENSE[key] for key in names}, **memory})(name, value)
 
 
 _COLLECTION: Mapping[str, Check] = {
