@@ -29,8 +29,9 @@ TRY_NAMES = (
 ``did_*``: measured motion, likewise. ``blocked``: 1 if the hand was held back, 0 if it moved. ``times``: how often this
 try was made, as a share of `MAX_TIMES`.
 """
-MEMORY_NAMES = tuple(f"try_{number}.{name}" for number in range(1, NUM_TRIES + 1) for name in TRY_NAMES)
-"""Names of the column's numbers: ``try_1`` is the latest try."""
+MEMORY_NAMES = tuple(f"try_{number}.{name}.pos" for number in range(1, NUM_TRIES + 1) for name in TRY_NAMES)
+"""Names of the column's numbers: ``try_1`` is the latest try. LeRobot's robot commands keep only
+names that end in ``.pos`` or ``.vel``."""
 MOTION_UNITS = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5)
 """Units of a motion [m, m, m, rad, rad, rad]: a typical motion in contact."""
 MAX_MOTION, MAX_TIMES = 3.0, 4

@@ -116,7 +116,7 @@ class FeltTries:
 
     def after(self, before: HandPose, command: HandPose, after: HandPose) -> None:
         """Advances by one step: a command that was sent from a measured hand, and the measured hand after it."""
-        told = motion_between(before.tcp_in_base, command.tcp_in_base)
+        told = tool_motion(before.tcp_in_base, command.tcp_in_base)
         is_closed = command.gripper < CLOSED_HAND
         was_closed, self._was_closed = self._was_closed, is_closed
         motion = told * MOTION_UNITS
@@ -129,7 +129,7 @@ class FeltTries:
             return
         start = before if self._stroke is None else self._stroke.start
         held = 0 if self._stroke is None else self._stroke.held
-        did = motion_between(before.tcp_in_base, after.tcp_in_base)
+        did = tool_motion(before.tcp_in_base, after.tcp_in_base)
         held = held + 1 if _share(told, did) < FELT_SHARE else 0
         self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, told, held)
         if self._held_steps is None:
@@ -158,11 +158,11 @@ class _Stroke:
 
     def event(self) -> FeltEvent:
         start = self.start.tcp_in_base
-        told, did = motion_between(start, self.command), motion_between(start, self.reached)
+        told, did = tool_motion(start, self.command), tool_motion(start, self.reached)
         return FeltEvent(start, told, did, _share(told, did) < FELT_SHARE)
 
 
-def motion_between(start: Array, end: Array) -> Array:
+def tool_motion(start: Array, end: Array) -> Array:
     """Returns the motion (6,) from one tool pose (4, 4) to another in the first one's frame, in `MOTION_UNITS`."""
     back = start[:3, :3].T
     shift, turn = back @ (end[:3, 3] - start[:3, 3]), rotation_vector_from_matrix(back @ end[:3, :3])
