@@ -120,6 +120,10 @@ class CollectCommand:
     late_starts: float = DEFAULT_LATE_STARTS
     """Share of episodes that start mid-task, after some key frames and a lost grip. 0 for none."""
 
+    mistakes: float = 0.0
+    """Share of the key frames in which the arm executes a mistake: stops short, moves the wrong way, lets go, repeats a
+    failed try, pulls before the turn. Rows keep the expert's own action, e.g. 0.2. 0 for none."""
+
     keep_failed: bool = False
     """Keep failed episodes in a second dataset, DIR-failed."""
 
@@ -249,6 +253,7 @@ class CollectCommand:
             late_starts=self.late_starts,
             keep_failed=self.keep_failed,
             policy=policy,
+            mistakes=self.mistakes,
             expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )

@@ -25,6 +25,7 @@ from lerobot_adamanip.collection.corrections import (
     dense_corrected_rollout,
 )
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
+from lerobot_adamanip.collection.mistakes import MistakenExpert, Mistakes, mistaken_rollout
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
@@ -264,17 +265,21 @@ def attempt_episode(
         beat()
 
     expert = functools.partial(_expert, env, spec, make_expert, request)
-    if actor is None and dense is not None:
-        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
-    elif actor is None:
-        result = rollout(env, observation, expert(late=late), record, past_success=True)
-    else:
+    if actor is not None:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
         correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
         if dense is not None:
             result = dense_corrected_rollout(dense, observation, correcting, record)
         else:
             result = corrected_rollout(env, observation, correcting, record)
+    elif dense is not None:
+        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
+    elif spec.mistakes > 0:
+        rng = episode_generator(request.seed, Stream.MISTAKE, category_of(request.object_id))
+        take_over, mistakes = functools.partial(expert, late=True), Mistakes(spec.mistakes, rng)
+        result = mistaken_rollout(env, observation, MistakenExpert(expert(late=late), take_over, mistakes, rng), record)
+    else:
+        result = rollout(env, observation, expert(late=late), record, past_success=True)
     episode_record = env.episode_record()
     is_kept = result.success or actor is not None
     description = EpisodeDescription(

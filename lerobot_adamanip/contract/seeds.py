@@ -41,6 +41,7 @@ class Stream(enum.IntEnum):
     LATE_EXPERT = 6
     CORRECTION = 7
     RETRY = 8
+    MISTAKE = 9
 
 
 def episode_generator(seed: int, stream: Stream, category: str) -> np.random.Generator:

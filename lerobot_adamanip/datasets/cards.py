@@ -373,6 +373,7 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
         values["cameras"] = " ".join(values["cameras"])
     values |= {"environment": None, "assets": None if environment.assets is None else "ASSETS"}
     images = values.pop("observe_images")
+    values["mistakes"] = spec.mistakes or None
     values |= {"policy": "POLICY"} if spec.policy else {"policy": None, "expert_share": None}
     options = {f"--{name.replace('_', '-')}": value for name, value in values.items() if value is not None}
     words = [name if value is True else f"{name} {value}" for name, value in options.items() if value is not False]

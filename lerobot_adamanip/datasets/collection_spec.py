@@ -75,6 +75,7 @@ class CollectionSpec:
         policy: hash of a policy that drives while the expert corrects it (`collection.corrections`); empty for
             demonstrations of the expert. Episodes of a policy are kept with and without success.
         expert_share: share of key frames that the expert drives; 1 for demonstrations.
+        mistakes: share of key frames in which a mistake is executed, see `lerobot_adamanip.collection.mistakes`.
     """
 
     environment: EnvironmentOptions
@@ -88,6 +89,7 @@ class CollectionSpec:
     keep_failed: bool = False
     policy: str = ""
     expert_share: float = 1.0
+    mistakes: float = 0.0
 
     def __post_init__(self) -> None:
         if self.environment.observe_images is None:
@@ -104,6 +106,9 @@ class CollectionSpec:
         _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
+        _require(0 <= self.mistakes < 1, "mistakes", self.mistakes, "a share, 0 up to below 1", 0.2)
+        alone = not self.mistakes or not (self.policy or self.environment.is_dense or self.expert == "static")
+        _require(alone, "mistakes", self.mistakes, "0, or the adaptive expert's key frames without a policy", 0)
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")

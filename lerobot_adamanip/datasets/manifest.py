@@ -109,11 +109,12 @@ class Manifest:
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
         spec = self.spec
+        absent = ("environment",) if spec.mistakes else ("environment", "mistakes")
         return {
             "format": FORMAT,
             "category": spec.category,
             "collection": {
-                **to_stored({name: value for name, value in vars(spec).items() if name != "environment"}),
+                **to_stored({name: value for name, value in vars(spec).items() if name not in absent}),
                 "objects": list(spec.objects),
                 "environment": environment_json(spec.environment),
             },
@@ -265,11 +266,19 @@ _COLLECTION: Mapping[str, Check] = {
     "expert_share": number(0.0, 1.0),
     **{name: integer(*limits) for name, limits in LIMITS.items()},
 }
+
+
+def _collection(name: str, value: Any) -> Any:
+    """Checks the options of a collection; mistakes are there for demonstrations that have some."""
+    has_mistakes = isinstance(value, Mapping) and "mistakes" in value
+    return table({**_COLLECTION, **({"mistakes": number(0.0, 1.0)} if has_mistakes else {})})(name, value)
+
+
 _COUNT = integer(0, 1000 * MAX_EPISODES)
 _MANIFEST: Mapping[str, Check] = {
     "format": integer(FORMAT, FORMAT),
     "category": choice((*CATEGORIES, ALL)),
-    "collection": table(_COLLECTION),
+    "collection": _collection,
     "versions": _VERSIONS,
     "external_assets": mapping(check_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
     "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),
