@@ -36,7 +36,9 @@ from lerobot_adamanip.datasets.dense import is_dense_collection, kind_by_size
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.selection import selection_path
+from lerobot_adamanip.datasets.stats import episode_records
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.evaluation.failed_tries import failed_tries_by_kind, failed_tries_text
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse
 
@@ -185,6 +187,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     return card_template("dense_card.md" if is_dense else "dataset_card.md").substitute(
         {**fields, **(_dense_fields(dataset) if is_dense else {})},
         **_counts(episodes),
+        failed_kinds="; ".join(failed_tries_text(failed_tries_by_kind(episode_records(dataset)))) or "none",
         **_attempts(dataset, manifest, episodes),
         **_scene(dataset, episodes),
         **_origin(dataset, manifest, episodes, name.removesuffix("-failed")),
