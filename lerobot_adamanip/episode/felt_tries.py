@@ -40,7 +40,7 @@ MIN_STROKE = 0.1
 HELD_S = 0.3
 """Time for which the hand is held back before a try that goes on is felt [s]."""
 SAME_PLACE_M = 0.05
-"""Largest distance between the starts of two tries that are the same."""
+"""Largest distance between two places that are the same, for tries that are the same."""
 
 
 def pushes(shift: Any, turn: Any, forward: Any, opening: Any, min_motion: tuple[float, float]) -> Any:
@@ -86,10 +86,11 @@ class FeltEvent:
     blocked: bool
     times: int = 1
 
-    def is_same(self, other: FeltEvent) -> bool:
-        """Returns whether both tries began at one place, had one direction, and were felt alike."""
-        away = np.linalg.norm(self.start[:3, 3] - other.start[:3, 3])
-        return bool(self.blocked == other.blocked and away < SAME_PLACE_M and _is_along(self.told, other.told))
+    def is_repeated_by(self, later: FeltEvent) -> bool:
+        """Returns whether a later try has the same direction and result, and began where this one began or ended."""
+        end = self.start[:3, 3] + self.start[:3, :3] @ (self.did[:3] * MOTION_UNITS[:3])
+        away = min(np.linalg.norm(later.start[:3, 3] - place) for place in (self.start[:3, 3], end))
+        return bool(self.blocked == later.blocked and away < SAME_PLACE_M and _is_along(self.told, later.told))
 
 
 class FeltTries:
@@ -180,6 +181,7 @@ def _is_along(one: Array, other: Array) -> bool:
 
 
 def _with(events: list[FeltEvent], event: FeltEvent) -> list[FeltEvent]:
-    """Returns events with another one as the latest; it replaces the same event of before and counts it."""
-    before = sum(each.times for each in events if each.is_same(event))
-    return [*(each for each in events if not each.is_same(event)), replace(event, times=before + 1)]
+    """Returns events with another one as the latest; it replaces those that it repeats, and counts them."""
+    others = [each for each in events if not each.is_repeated_by(event)]
+    times = sum(each.times for each in events) - sum(each.times for each in others)
+    return [*others, replace(event, times=times + 1)]

@@ -64,6 +64,13 @@ def test_words_come_from_the_motion_and_equal_tries_are_counted(hand: Stream) ->
     assert hand.memory.numbers()[TRY_NAMES.index("times")] == 1.0
 
 
+def test_a_part_that_is_pulled_on_and_on_is_one_try_that_moves(hand: Stream) -> None:
+    hand.sends(PULL, share=0.05)
+    for _ in range(3):
+        hand.sends((0.0, 0.0, -0.1), share=1.0)
+    assert hand.memory.sentence() == f"{SO_FAR}pulled: blocked; pulled 3 times: moved."
+
+
 def test_the_memory_holds_the_latest_tries_newest_first(hand: Stream) -> None:
     for place in range(NUM_TRIES + 1):
         hand.sends(PULL, share=0.1)
