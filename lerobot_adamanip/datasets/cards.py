@@ -26,7 +26,7 @@ from lerobot_adamanip.contract.control import (
     JOINT,
     STATES,
 )
-from lerobot_adamanip.contract.memory import MEMORY, NO_MEMORY
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, NO_MEMORY
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
@@ -66,12 +66,12 @@ COLUMNS = {
     schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
     schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
     schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove and `action` corrects it",
-    MEMORY: "memory of the latest 4 felt tries, from poses and commands alone: see docs/lerobot_policies.md",
     schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
 """Column -> meaning."""
+MEMORY_MEANING = "the latest four felt tries, from tool poses and commands alone: a policy may use them"
 DENSE_COLUMNS = {
     **COLUMNS,
     schema.STATE: "see above",
@@ -208,6 +208,7 @@ def _dense_fields(dataset: Dataset) -> dict[str, object]:
         options["image_size"] = height
         options |= {} if cameras == list(CAMERAS) else {"cameras": f"'[{','.join(cameras)}]'"}
     options |= {"observe_cloud": "true"} if has_cloud else {}
+    options |= {"memory": EVENTS} if MEMORY in dataset.features else {}
     options |= {"observe_effort": "true"} if schema.EFFORT in dataset.features else {}
     return {
         "action": action,
@@ -236,6 +237,7 @@ def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, objec
         if key not in OF_LEROBOT:
             meanings = DENSE_COLUMNS if is_dense_collection(dataset.features) else COLUMNS
             meaning = meanings.get(schema.FRONT_IMAGE if is_image_column(key) else key, "")
+            meaning = MEMORY_MEANING if key == MEMORY else meaning
             kind = "video, " if feature["dtype"] == "video" else ""
             lines.append(f"| `{key}` | {kind}{tuple(feature['shape'])} | {meaning} |")
     return {

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
-from lerobot_adamanip.evaluation.record import EpisodeRecord
+if TYPE_CHECKING:  # records import scipy; `adamanip stats --help` needs none
+    from lerobot_adamanip.evaluation.record import EpisodeRecord
 
 TURNED = "turned"
 KINDS_OF_TRIES = {

@@ -205,8 +205,9 @@ def test_two_hidden_states_have_one_memory_until_a_felt_try() -> None:
 
 
 FELT: dict[str, Callable[..., Any]] = {"keyframe": rollout, "dense": dense_rollout}
-AGREEMENT = {"keyframe": 0.9, "dense": 0.9}
-"""Least share of an expert's tries whose result is felt as the simulator's contacts label it."""
+AGREEMENT = 0.85
+"""Least share of an expert's tries whose result is felt as the simulator's contacts label it. They may differ at a stop,
+and where a pull at a locked leaf moves its lever."""
 
 
 @pytest.mark.sim
@@ -226,7 +227,7 @@ def test_a_failed_try_of_the_simulator_is_felt_as_blocked(category: str, control
     finally:
         env.close()
     assert felt >= 4
-    assert agreed / felt >= AGREEMENT[control], (agreed, felt)
+    assert agreed / felt >= AGREEMENT, (agreed, felt)
 
 
 def _compare(known: list[tuple[bool, bool]], step: Any) -> None:
