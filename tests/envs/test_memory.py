@@ -206,7 +206,7 @@ def test_two_hidden_states_have_one_memory_until_a_felt_try() -> None:
 
 FELT: dict[str, Callable[..., Any]] = {"keyframe": rollout, "dense": dense_rollout}
 AGREEMENT = 0.85
-"""Least share of an expert's tries whose result is felt as the simulator's contacts label it. They may differ at a stop,
+"""Least share of an expert's tries that are felt as the simulator's contacts label them. They may differ at a stop,
 and where a pull at a locked leaf moves its lever."""
 
 
