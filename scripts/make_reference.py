@@ -21,7 +21,7 @@ from lerobot_adamanip.cli.main import COMMANDS, load
 from lerobot_adamanip.contract.categories import CATEGORIES
 
 GROUPS = {
-    "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes")),
+    "collect": ("Collect demonstrations", ("collect", "replay", "render", "keyframes", "memory")),
     "datasets": ("Work with datasets", ("check", "stats", "view", "merge", "filter", "split", "push")),
     "evaluate": ("Evaluate and compare", ("report", "benchmark", "expert")),
     "setup": ("Objects, cameras, installation", ("doctor", "objects", "annotate", "calibrate")),

@@ -12,6 +12,7 @@ from lerobot.envs.configs import EnvConfig
 from lerobot_adamanip.contract.cameras import camera_names, image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, MEMORY_NAMES, NO_MEMORY
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.schema import (
     ACTION,
@@ -65,6 +66,9 @@ class AdaManipEnvConfig(EnvConfig):
     observe_cloud: bool = False
     # Whether dense observations hold the effort.
     observe_effort: bool = False
+    # Memory of felt tries: events (numbers in observation.environment_state, for ACT and diffusion), text (a sentence
+    # after the instruction, for SmolVLA and pi0.5), or none.
+    memory: str = NO_MEMORY
     # Objects: seen (the paper's number), unseen (the next 20), novel, FIRST:END, nFIRST:nEND (novel ones), or ids
     # separated by commas.
     objects: str = "seen"
@@ -153,6 +157,8 @@ class AdaManipEnvConfig(EnvConfig):
             table["effort"] = (FeatureType.STATE, (NUM_JOINTS,), EFFORT)
         if chosen.observes_cloud:
             table["point_cloud"] = (FeatureType.ENV, (3 * self.num_points,), POINT_CLOUD)
+        if chosen.memory == EVENTS:
+            table["environment_state"] = (FeatureType.ENV, (len(MEMORY_NAMES),), MEMORY)
         for name in names.values() if self.observe_images is not False else ():
             table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}

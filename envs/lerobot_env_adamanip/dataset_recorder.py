@@ -16,12 +16,14 @@ from numpy.typing import NDArray
 from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.memory import NO_MEMORY
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.versions import DATA_VERSION, SIMULATION_VERSION, cpu_model
 from lerobot_adamanip.datasets.collection_spec import SPLIT, environment_json
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.output_folder import RECORDING, owned_output
 from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
+from lerobot_adamanip.episode.memory import with_row_tasks
 from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame
 from lerobot_adamanip.hardware.features import UNLABELLED
 from lerobot_adamanip.util import files
@@ -116,8 +118,10 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
             pose, gripper = pose_from_vector(np.array(action, np.float64))
             goal = Goal(pose, gripper, cast("Phase", UNLABELLED))
             labels = self._env.labels
+            # A memory is of the action as it was sent, before its rotation is made orthonormal.
+            sent = None if self._env.options.memory == NO_MEMORY else np.array(action, np.float32)
             self._recorder.record(
-                KeyFrame(self._observation, goal, self._env.feedback, following, info["is_success"], labels)
+                KeyFrame(self._observation, goal, self._env.feedback, following, info["is_success"], labels, sent)
             )
             self._observation = following
             if terminated or truncated:
@@ -190,5 +194,6 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
             versions={**env.software_versions(), "cpu": cpu_model()},
             episode_record=episode_record,
         )
-        episode = RecordedEpisode(columns, description.record(env.task_description))
+        record = with_row_tasks(description.record(env.task_description), columns, env.options)
+        episode = RecordedEpisode(columns, record)
         write_shard(self._output.work / "episodes" / f"{number:06d}.safetensors", episode)

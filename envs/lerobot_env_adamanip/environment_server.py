@@ -34,12 +34,18 @@ class ServedEnv(FlatCloud):
         env = KeyframeEnv(options=options)
         super().__init__(FailMalformedActions(env))
         # The server reads these attributes of the outermost object.
-        self.task, self.task_description = env.task, env.task_description
+        self.task = env.task
         self._max_episode_steps = env.max_key_frames
         size, seen = options.image_size, self.observation_space
         assert isinstance(seen, gym.spaces.Dict)
         pixels = gym.spaces.Dict({PREVIEW: gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
         self.observation_space = gym.spaces.Dict({"pixels": pixels, **seen})
+
+    @property
+    def task_description(self) -> str:
+        """The instruction, with the memory if it is text."""
+        description: str = self.env.get_wrapper_attr("task_description")
+        return description
 
     def observation(self, observation: dict[str, Any]) -> dict[str, Any]:
         """Adds the image and flattens the cloud."""

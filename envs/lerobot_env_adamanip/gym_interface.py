@@ -13,6 +13,7 @@ from lerobot_adamanip.catalog import select_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, FINGER_TRAVEL, JOINT, POSE
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
+from lerobot_adamanip.contract.memory import EVENTS, MAX_MOTION, MEMORY_NAMES
 from lerobot_adamanip.contract.schema import NUM_JOINTS
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
@@ -59,6 +60,9 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
         bounds["agent_pos"] = (-high, high)
     if options.observes_effort:
         bounds["effort"] = (np.full(NUM_JOINTS, -MAX_EFFORT), np.full(NUM_JOINTS, MAX_EFFORT))
+    if options.memory == EVENTS:
+        largest = np.full(len(MEMORY_NAMES), MAX_MOTION)
+        bounds["environment_state"] = (-largest, largest)
     if options.observes_cloud:
         bounds["point_cloud"] = (np.tile(lower, (options.num_points, 1)), np.tile(upper, (options.num_points, 1)))
     spaces: dict[str, gym.Space[Any]] = {

@@ -18,11 +18,13 @@ from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.dense_codec import pose_state
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.schema import FPS, STATE_DIM
 from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.hints import instruction
+from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
@@ -176,7 +178,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     Action: (10,) next tool pose, robot base frame: position [m], rotation 6D, gripper [0 closed, 1 open].
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels``, camera
-        -> (H, W, 3), if images are observed, see ``observe_images``. All bounds are finite.
+        -> (H, W, 3), if images are observed, see ``observe_images``. All bounds are finite. With the memory ``events``
+        also ``environment_state`` (96,), see `contract.memory`; with ``text``, ``task_description`` ends with it.
     Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
         text. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
@@ -230,6 +233,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         )
         self._image: NDArray[np.uint8] | None = None
         self._seeds: dict[str, int] = {}
+        self._memory, self._state = Memory.of(self.options), np.zeros(0, np.float32)
         self.action_space = action_space(self.options)
         self.observation_space = observation_space(self.options)
         self._spaces: dict[str, Any] = dict(self.observation_space.spaces)
@@ -291,6 +295,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _start_episode(self, task: AdaManipTask) -> None:
         self._episode = RunningEpisode(task, self.options, self._provenance, self._log, **self._seeds)
+        if self._memory is not None:
+            self._memory.reset()
 
     def restart_episode(self) -> None:
         """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
@@ -300,11 +306,21 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Moves the arm to the commanded pose and observes. Raises `ConfigurationError` for a malformed action."""
-        had_succeeded = self.episode.success
+        had_succeeded, before = self.episode.success, self._state
         for _ in self.motion(action):
             pass
         success, truncated = self.episode.result()
-        return self.observe(), float(success and not had_succeeded), success, truncated, self._info()
+        observation = self.observe()
+        if self._memory is not None:
+            self._memory.after(before, action, self._state)
+            observation |= self._remembered(self._memory)
+        return observation, float(success and not had_succeeded), success, truncated, self._info()
+
+    def _remembered(self, memory: Memory) -> Observation:
+        """Returns the part of an observation that is the memory; updates the instruction if it holds the memory."""
+        if self.options.memory == TEXT:
+            self.task_description = self.task + memory.sentence()
+        return {"environment_state": memory.numbers()} if self.options.memory == EVENTS else {}
 
     def drive(self, action: NDArray[np.float32]) -> tuple[bool, bool]:
         """Runs one key frame, in dense control too, without an observation.
@@ -357,6 +373,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             observation["effort"] = effort.astype(np.float32)
         for key, values in observation.items():  # a simulated collision may give any effort
             observation[key] = np.clip(values, spaces[key].low, spaces[key].high)
+        self._state = observation["agent_pos"]
+        if self._memory is not None:
+            observation |= self._remembered(self._memory)
         if "point_cloud" in spaces:
             cloud = workspace_cloud(task.cameras.points(), self.workspace, self.num_points)
             observation["point_cloud"] = cloud if errors is None else errors.delayed("point_cloud", cloud)

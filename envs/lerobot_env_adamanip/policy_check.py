@@ -16,6 +16,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, JOINT, KEYFRAME, POSE, STATES
+from lerobot_adamanip.contract.memory import MEMORY
 from lerobot_adamanip.contract.schema import ACTION, EFFORT, FPS, KEY_FRAME, POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.training_data import training_info, training_objects, training_options
 from lerobot_adamanip.util.errors import ConfigurationError, listed
@@ -24,8 +25,10 @@ if TYPE_CHECKING:
     from lerobot_env_adamanip.config import AdaManipEnvConfig
 
 
-_OPTIONAL = {POINT_CLOUD: "--env.observe_cloud=true", EFFORT: "--env.observe_effort=true"}
-"""Observation that dense environments may lack -> the option that adds it."""
+_OPTIONAL = {
+    POINT_CLOUD: "--env.observe_cloud=true", EFFORT: "--env.observe_effort=true", MEMORY: "--env.memory=events",
+}  # fmt: skip
+"""Observation that environments may lack -> the option that adds it."""
 
 
 def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:

@@ -83,6 +83,10 @@ class CollectCommand:
     """Source of pictures. raycast: on any machine. render: needs Vulkan. Default: raycast in dense control, else
     render."""
 
+    memory: Literal["none", "events", "text"] = "none"
+    """Memory of felt tries. events: numbers in observation.environment_state, for ACT and diffusion. text: a sentence
+    after the instruction, for SmolVLA and pi0.5. `adamanip memory` adds it later."""
+
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
@@ -127,6 +131,10 @@ class CollectCommand:
 
     late_starts: float = DEFAULT_LATE_STARTS
     """Share of episodes that start mid-task, after some key frames and a lost grip. 0 for none."""
+
+    mistakes: float = 0.0
+    """Share of the key frames in which the arm executes a mistake: stops short, moves the wrong way, lets go, repeats a
+    failed try, pulls before the turn. Rows keep the expert's own action, e.g. 0.2. 0 for none."""
 
     keep_failed: bool = False
     """Keep failed episodes in a second dataset, DIR-failed."""
@@ -237,6 +245,7 @@ class CollectCommand:
             state=self.state,
             observe_cloud=self.cloud,
             observe_effort=self.effort,
+            memory=self.memory,
             cameras=self.cameras or None,
             image_source=self.image_source,
         )
@@ -259,6 +268,7 @@ class CollectCommand:
             late_starts=self.late_starts,
             keep_failed=self.keep_failed,
             policy=policy,
+            mistakes=self.mistakes,
             expert_share=1.0 if self.policy is None else self.expert_share,
             seed=self.seed,
         )

@@ -52,6 +52,7 @@ COMMANDS = FIRST_COMMANDS | {
     "view": CommandEntry("view:ViewCommand", "show an episode: cloud, tool path, goals, tries, effort"),
     "replay": CommandEntry("replay:ReplayCommand", "replay a recorded episode in the simulator and compare"),
     "render": CommandEntry("render:RenderCommand", "add pictures to a dataset that was collected without them"),
+    "memory": CommandEntry("memory:MemoryCommand", "add a memory of felt tries to a dataset"),
     "merge": CommandEntry("edit:MergeCommand", "merge datasets into a new one"),
     "filter": CommandEntry("edit:FilterCommand", "write a dataset with the episodes that fulfil conditions"),
     "split": CommandEntry("edit:SplitCommand", "split a dataset into several, by shares or by values"),

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
+from lerobot_adamanip.evaluation.failed_tries import failed_tries_text
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
 
 if TYPE_CHECKING:
@@ -57,6 +58,7 @@ def _lines(stats: DatasetStats) -> Iterator[str]:
         yield f"Steps of an episode, at {stats.fps} Hz: {_summary(stats.step_summary())}"
     if stats.failures:
         yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in stats.failures.items())}"
+    yield from (f"Failed tries by kind, {line}" for line in failed_tries_text(stats.failed_by_kind))
     if unlabelled := stats.overall.episodes - stats.overall.labelled:
         yield f"Recorded on a robot, without labels of tries: {unlabelled} episodes"
     yield f"Objects: {stats.objects}. Late starts: {stats.late}. Rows: {stats.rows}. Size: {stats.bytes / 1e6:.1f} MB"

@@ -12,7 +12,7 @@ from typing import Any
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.datasets.appending import append, can_append, in_order
+from lerobot_adamanip.datasets.appending import append, can_append, in_order, tasks_of_rows
 from lerobot_adamanip.datasets.attempts import AttemptRecord, attempts_jsonl, attempts_path
 from lerobot_adamanip.datasets.cards import dataset_card
 from lerobot_adamanip.datasets.collection_spec import columns_of, manifest_path
@@ -147,8 +147,8 @@ def _written_by_lerobot(dataset: Any, shards: list[Path]) -> Iterator[tuple[dict
     """Writes episodes with LeRobot's writer: slower than `_appended`, whose result must be equal."""
     for path in shards:
         episode = read_shard(path)
-        for row in range(len(episode)):
+        for row, task in enumerate(tasks_of_rows(episode.record, len(episode))):
             frame = {key: column[row] for key, column in episode.columns.items()}
-            dataset.add_frame({**frame, "task": episode.record["task"]})
+            dataset.add_frame({**frame, "task": task})
         dataset.save_episode()
         yield episode.record, len(episode)

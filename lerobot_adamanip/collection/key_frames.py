@@ -15,6 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column
 from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Outcome
+from lerobot_adamanip.contract.memory import instruction_of
 from lerobot_adamanip.datasets.dataset import Dataset, Episode, open_dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.episode import EpisodeDescription
@@ -135,7 +136,8 @@ def _converted(source: Dataset, episode: Episode, environment: EnvironmentOption
         for key in map(image_column, environment.observed_cameras):
             converted[key] = np.stack([frame[key].numpy().transpose(1, 2, 0) for frame in shown])
     description = EpisodeDescription.from_columns(episode.row)
-    return RecordedEpisode(converted, description.record(", ".join(episode.tasks)))
+    tasks = dict.fromkeys(map(instruction_of, episode.tasks))
+    return RecordedEpisode(converted, description.record(", ".join(tasks)))
 
 
 def key_frame_columns(columns: Columns, fps: int) -> tuple[NDArray[np.int64], dict[str, NDArray[Any]]]:

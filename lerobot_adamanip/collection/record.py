@@ -25,6 +25,7 @@ from lerobot_adamanip.collection.corrections import (
     dense_corrected_rollout,
 )
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
+from lerobot_adamanip.collection.mistakes import MistakenExpert, Mistakes, mistaken_rollout
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
@@ -34,6 +35,7 @@ from lerobot_adamanip.datasets.episode import EpisodeDescription, start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes, write_shard_bytes
 from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRecorder, DenseStep, dense_rollout
+from lerobot_adamanip.episode.memory import with_row_tasks
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, SimulatedEnvironment, rollout
 from lerobot_adamanip.util import files
@@ -263,17 +265,21 @@ def attempt_episode(
         beat()
 
     expert = functools.partial(_expert, env, spec, make_expert, request)
-    if actor is None and dense is not None:
-        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
-    elif actor is None:
-        result = rollout(env, observation, expert(late=late), record, past_success=True)
-    else:
+    if actor is not None:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
         correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
         if dense is not None:
             result = dense_corrected_rollout(dense, observation, correcting, record)
         else:
             result = corrected_rollout(env, observation, correcting, record)
+    elif dense is not None:
+        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
+    elif spec.mistakes > 0:
+        rng = episode_generator(request.seed, Stream.MISTAKE, category_of(request.object_id))
+        take_over, mistakes = functools.partial(expert, late=True), Mistakes(spec.mistakes, rng)
+        result = mistaken_rollout(env, observation, MistakenExpert(expert(late=late), take_over, mistakes, rng), record)
+    else:
+        result = rollout(env, observation, expert(late=late), record, past_success=True)
     episode_record = env.episode_record()
     is_kept = result.success or actor is not None
     description = EpisodeDescription(
@@ -297,7 +303,9 @@ def attempt_episode(
         episode_record=episode_record,
     )
     attempt = Attempt(request.seed, hidden, result.success, result.reason, result.key_frames, late)
-    return attempt, RecordedEpisode(recorder.columns(), description.record(env.task_description))
+    columns = recorder.columns()
+    record_of_rows = with_row_tasks(description.record(env.task_description), columns, spec.environment)
+    return attempt, RecordedEpisode(columns, record_of_rows)
 
 
 def _start(

@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.keyframes import Feedback
+from lerobot_adamanip.contract.memory import MEMORY
 from lerobot_adamanip.contract.pointcloud import Cloud, Workspace, farthest_point_order
 from lerobot_adamanip.contract.rotations import pose_vector
 
 Observation = Mapping[str, Any]
 """As the environments return it: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and
 ``pixels``, camera -> (H, W, 3), where images are observed. In dense control ``agent_pos`` may be (8,), and clouds and
-efforts are there if they are requested."""
+efforts are there if they are requested. ``environment_state`` (96,) is the memory of events, if it is requested."""
 
 
 class RepeatedPointsWarning(UserWarning):
@@ -56,4 +57,6 @@ def observation_columns(observation: Observation) -> dict[str, NDArray[Any]]:
     return {**columns, **images}
 
 
-_COLUMNS = {"point_cloud": schema.POINT_CLOUD, "agent_pos": schema.STATE, "effort": schema.EFFORT}
+_COLUMNS = {
+    "point_cloud": schema.POINT_CLOUD, "agent_pos": schema.STATE, "effort": schema.EFFORT, "environment_state": MEMORY,
+}  # fmt: skip

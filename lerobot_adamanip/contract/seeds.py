@@ -43,6 +43,7 @@ class Stream(enum.IntEnum):
     RETRY = 8
     SENSING = 9
     HINT = 10
+    MISTAKE = 11
 
 
 def episode_generator(seed: int, stream: Stream, category: str, *moment: int) -> np.random.Generator:

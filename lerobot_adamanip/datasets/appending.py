@@ -43,8 +43,14 @@ def in_order[T](numbered: Iterable[tuple[int, T]]) -> Iterator[T]:
 def append(dataset: Any, episode: PreparedEpisode) -> int:
     """Appends an episode as ``add_frame`` and ``save_episode`` do; returns its number of rows."""
     table = pa.ipc.open_stream(episode.table).read_all()
-    task = episode.record["task"]
-    return append_rows(dataset, table, [task], [task] * len(table), stats=episode.stats, videos=episode.videos)
+    tasks = tasks_of_rows(episode.record, len(table))
+    return append_rows(dataset, table, list(dict.fromkeys(tasks)), tasks, stats=episode.stats, videos=episode.videos)
+
+
+def tasks_of_rows(record: Mapping[str, Any], rows: int) -> list[str]:
+    """Returns the task of each row of an episode file: its instruction, with the memory if that is text."""
+    tasks: list[str] = record.get("tasks") or [record["task"]] * rows
+    return tasks
 
 
 def append_rows(

@@ -26,6 +26,7 @@ from lerobot_adamanip.contract.control import (
     JOINT,
     STATES,
 )
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
@@ -41,7 +42,9 @@ from lerobot_adamanip.datasets.dense import is_dense_collection, kind_by_size
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.selection import selection_path
+from lerobot_adamanip.datasets.stats import episode_records
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.evaluation.failed_tries import failed_tries_by_kind, failed_tries_text
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import parse
 
@@ -74,6 +77,7 @@ COLUMNS = {
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
 }
 """Column -> meaning."""
+MEMORY_MEANING = "the latest four felt tries, from tool poses and commands alone: a policy may use them"
 DENSE_COLUMNS = {
     **COLUMNS,
     schema.STATE: "see above",
@@ -189,6 +193,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     return card_template("dense_card.md" if is_dense else "dataset_card.md").substitute(
         {**fields, **(_dense_fields(dataset) if is_dense else {})},
         **_counts(episodes),
+        failed_kinds="; ".join(failed_tries_text(failed_tries_by_kind(episode_records(dataset)))) or "none",
         **_attempts(dataset, manifest, episodes),
         **_scene(dataset, episodes),
         **_origin(dataset, manifest, episodes, name.removesuffix("-failed")),
@@ -209,6 +214,7 @@ def _dense_fields(dataset: Dataset) -> dict[str, object]:
         options["image_size"] = height
         options |= {} if cameras == list(CAMERAS) else {"cameras": f"'[{','.join(cameras)}]'"}
     options |= {"observe_cloud": "true"} if has_cloud else {}
+    options |= {"memory": EVENTS} if MEMORY in dataset.features else {}
     options |= {"observe_effort": "true"} if schema.EFFORT in dataset.features else {}
     return {
         "action": action,
@@ -237,6 +243,7 @@ def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, objec
         if key not in OF_LEROBOT:
             meanings = DENSE_COLUMNS if is_dense_collection(dataset.features) else COLUMNS
             meaning = meanings.get(schema.FRONT_IMAGE if is_image_column(key) else key, "")
+            meaning = MEMORY_MEANING if key == MEMORY else meaning
             kind = "video, " if feature["dtype"] == "video" else ""
             lines.append(f"| `{key}` | {kind}{tuple(feature['shape'])} | {meaning} |")
     return {
@@ -377,6 +384,7 @@ def collect_command(spec: CollectionSpec, folder: str) -> str:
         values["cameras"] = " ".join(values["cameras"])
     values |= {"environment": None, "assets": None if environment.assets is None else "ASSETS"}
     images = values.pop("observe_images")
+    values["mistakes"] = spec.mistakes or None
     values |= {"policy": "POLICY"} if spec.policy else {"policy": None, "expert_share": None}
     options = {f"--{name.replace('_', '-')}": value for name, value in values.items() if value is not None}
     words = [name if value is True else f"{name} {value}" for name, value in options.items() if value is not False]

@@ -13,6 +13,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, NO_MEMORY, memory_feature
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.output_folder import COLLECTING
@@ -75,6 +76,7 @@ class CollectionSpec:
         policy: hash of a policy that drives while the expert corrects it (`collection.corrections`); empty for
             demonstrations of the expert. Episodes of a policy are kept with and without success.
         expert_share: share of key frames that the expert drives; 1 for demonstrations.
+        mistakes: share of key frames in which a mistake is executed, see `lerobot_adamanip.collection.mistakes`.
     """
 
     environment: EnvironmentOptions
@@ -88,6 +90,7 @@ class CollectionSpec:
     keep_failed: bool = False
     policy: str = ""
     expert_share: float = 1.0
+    mistakes: float = 0.0
 
     def __post_init__(self) -> None:
         if self.environment.observe_images is None:
@@ -104,6 +107,9 @@ class CollectionSpec:
         _require(0 <= self.expert_share <= 1, "expert_share", self.expert_share, "a share, 0 ... 1")
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
+        _require(0 <= self.mistakes < 1, "mistakes", self.mistakes, "a share, 0 up to below 1", 0.2)
+        alone = not self.mistakes or not (self.policy or self.environment.is_dense or self.expert == "static")
+        _require(alone, "mistakes", self.mistakes, "0, or the adaptive expert's key frames without a policy", 0)
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")
@@ -182,9 +188,10 @@ def environment_json(environment: EnvironmentOptions) -> dict[str, Any]:
 def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
     """Returns the features of a dataset of these environments; ``observe_images`` is resolved."""
     cameras = environment.observed_cameras if environment.observe_images else ()
+    memory = {MEMORY: memory_feature()} if environment.memory == EVENTS else {}
     if not environment.is_dense:
-        return schema.dataset_features(environment.num_points, environment.image_size, cameras=cameras)
-    return schema.dense_features(
+        return schema.dataset_features(environment.num_points, environment.image_size, cameras=cameras) | memory
+    dense = schema.dense_features(
         ACTION_NAMES[environment.action],
         STATES[environment.state],
         image_size=environment.image_size,
@@ -192,6 +199,7 @@ def columns_of(environment: EnvironmentOptions) -> dict[str, dict[str, Any]]:
         num_points=environment.num_points if environment.observe_cloud else None,
         has_effort=environment.observe_effort,
     )
+    return dense | memory
 
 
 MANIFEST_FIELDS = (
@@ -201,7 +209,7 @@ MANIFEST_FIELDS = (
 """Environment options in a manifest."""
 OF_PICTURES = ("cameras", "image_source")
 """Environment options in a manifest of key frames if they are chosen."""
-OPTIONAL_FIELDS = {"sensing": EXACT, "self_calibration": False, "hints": 0.0}
+OPTIONAL_FIELDS = {"sensing": EXACT, "self_calibration": False, "hints": 0.0, "memory": NO_MEMORY}
 """Environment options in a manifest if they differ from these defaults."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""

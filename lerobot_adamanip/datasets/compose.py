@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
@@ -22,7 +24,7 @@ from lerobot_adamanip.datasets.dataset import Dataset, camera_of, read_back
 from lerobot_adamanip.datasets.encoding import quieten, video_encoder
 from lerobot_adamanip.datasets.opening import as_typed, plain_feature
 from lerobot_adamanip.datasets.selection import Selection, write_selection
-from lerobot_adamanip.datasets.statistics import write_statistics
+from lerobot_adamanip.datasets.statistics import compute_statistics, write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
 from lerobot_adamanip.hardware.features import ARM, CALIBRATIONS, SAFETY, is_dense
 from lerobot_adamanip.util import files
@@ -31,14 +33,37 @@ from lerobot_adamanip.util.json_fields import read
 
 Progress = Callable[[int, int], None]
 """Called with the number of finished episodes and the total number."""
+Column = NDArray[Any]
 Pieces = Sequence[tuple[Dataset, int]]
 """Source datasets and episode indices, in the order of the new dataset."""
 _OF_COLLECTION = ("meta/collection.json", "meta/attempts.jsonl")
 _OF_ROBOT = (CALIBRATIONS, SAFETY)
 
 
+@dataclass(frozen=True)
+class Addition:
+    """Columns and tasks that every episode of the new dataset has beside those of its source.
+
+    Attributes:
+        features: column -> description, after the source's own.
+        compute: gets an episode's rows and their tasks; returns column -> (T, ...) values, and the new tasks.
+    """
+
+    features: Mapping[str, dict[str, Any]]
+    compute: Callable[[pa.Table, list[str]], tuple[Mapping[str, Column], list[str]]]
+
+
+NOTHING = Addition({}, lambda table, tasks: ({}, tasks))
+
+
 def compose(
-    out: Path, pieces: Pieces, repo_id: str, selection: Selection | None, progress: Progress = lambda done, total: None
+    out: Path,
+    pieces: Pieces,
+    repo_id: str,
+    selection: Selection | None,
+    progress: Progress = lambda done, total: None,
+    *,
+    addition: Addition = NOTHING,
 ) -> None:
     """Writes a dataset of these episodes and verifies it by reading it back.
 
@@ -50,6 +75,7 @@ def compose(
         repo_id: repository id for LeRobot.
         selection: the dataset that the new one is a part of, if any; its manifest and attempts are copied.
         progress: called after each episode.
+        addition: further columns, and changed tasks.
 
     Raises:
         DatasetError: a source is damaged, or the sources are recordings with different calibrations.
@@ -59,19 +85,20 @@ def compose(
 
     sources = list({source.root: source for source, _ in pieces}.values())
     _require_same_calibrations(sources)
-    info = dict(sources[0].info)
+    own = sources[0].info["features"]
     if not all(ARM in source.features for source in sources):
-        info["features"] = {key: feature for key, feature in info["features"].items() if key != ARM}
+        own = {key: feature for key, feature in own.items() if key != ARM}
+    info = {**sources[0].info, "features": {**own, **addition.features}}
     dataset, lengths = _create(out, info, repo_id), []
     schema = get_hf_features_from_features(dataset.meta.features).arrow_schema
     for done, (source, episode) in enumerate(pieces, start=1):
-        lengths.append(_append(dataset, schema, source, episode))
+        lengths.append(_append(dataset, schema, source, episode, addition))
         files.crash_point("episode assembled")
         progress(done, len(pieces))
     dataset.finalize()
     files.crash_point("dataset written")
     _restore_info(out, sources)
-    _describe(out, pieces, selection, info["features"])
+    _describe(out, pieces, selection, dataset.meta.features)
     files.crash_point("dataset described")
     files.sync_tree(out)
     files.crash_point("dataset synced")
@@ -109,7 +136,7 @@ def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
     return dataset
 
 
-def _append(dataset: Any, schema: pa.Schema, source: Dataset, index: int) -> int:
+def _append(dataset: Any, schema: pa.Schema, source: Dataset, index: int, addition: Addition) -> int:
     episode = source.episodes[index]
     table = source.rows(episode)
     tasks = [source.tasks[index] for index in table["task_index"].to_pylist()]
@@ -118,8 +145,12 @@ def _append(dataset: Any, schema: pa.Schema, source: Dataset, index: int) -> int
         for key, feature in dataset.meta.features.items()
         if feature["dtype"] == "video"
     }
-    rows = _with_types(table, schema)
-    return append_rows(dataset, rows, list(episode.tasks), tasks, stats=source.statistics_of(index), videos=videos)
+    columns, row_tasks = addition.compute(table, tasks)
+    stats = {**source.statistics_of(index), **compute_statistics(columns, addition.features)}
+    for key, values in columns.items():
+        table = table.append_column(schema.field(key), pa.array(values.tolist(), schema.field(key).type))
+    own = list(episode.tasks) if row_tasks == tasks else list(dict.fromkeys(row_tasks))
+    return append_rows(dataset, _with_types(table, schema), own, row_tasks, stats=stats, videos=videos)
 
 
 def _with_types(table: pa.Table, schema: pa.Schema) -> pa.Table:
@@ -138,6 +169,8 @@ def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
     path = out / "meta" / "info.json"
     info = read(path)
     for key, feature in info["features"].items():
+        if key not in sources[0].features:
+            continue
         details = [source.features[key].get("info") or {} for source in sources]
         if any(details):
             agreed = {name for name, value in details[0].items() if all(each.get(name) == value for each in details)}
@@ -152,7 +185,9 @@ def _restore_info(out: Path, sources: Sequence[Dataset]) -> None:
     files.write_atomically(path, json.dumps(info, indent=4, ensure_ascii=False).encode())
 
 
-def _describe(out: Path, pieces: Pieces, selection: Selection | None, features: Mapping[str, Any]) -> None:
+def _describe(
+    out: Path, pieces: Pieces, selection: Selection | None, features: Mapping[str, Mapping[str, Any]]
+) -> None:
     """Adds data that LeRobot does not write: episodes' own columns, cameras, calibrations and collection files."""
     write_statistics(out, features)
     rows = [source.own_columns.slice(episode, 1) for source, episode in pieces]

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.catalog import category_of, object_split
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.memory import instruction_of
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest
@@ -44,7 +45,11 @@ def episode_values(dataset: Dataset) -> DataFrame:
     for episode, own in zip(dataset.episodes, dataset.own_columns.to_pylist(), strict=True):
         plain = {name: value for name, value in own.items() if isinstance(value, Value)}
         values = {name: value for name, value in plain.items() if str(value)[:1] not in ("{", "[")}
-        place = {"episode_index": episode.number, "length": episode.length, "task": ", ".join(episode.tasks)}
+        place = {
+            "episode_index": episode.number,
+            "length": episode.length,
+            "task": ", ".join(dict.fromkeys(map(instruction_of, episode.tasks))),
+        }
         rows.append({**place, **values, **_of_object(plain.get("object_id")), **_hidden(plain.get("hidden_state"))})
     table = pd.DataFrame(rows, dtype=object)
     if {schema.TRIED, schema.FAILED, schema.DONE} <= dataset.features.keys():

@@ -308,7 +308,7 @@ class Dataset:
     def recorded(self, index: int, manifest: Manifest) -> RecordedEpisode:
         """Returns an episode of a collection, without images; raises `DatasetError` for invalid values.
 
-        ``record`` has the fields of `EpisodeDescription` and ``task``.
+        ``record`` has the fields of `EpisodeDescription` and ``task``; also ``tasks``, one a row, if they differ.
         """
         episode = self.episode(index)
         try:
@@ -320,8 +320,9 @@ class Dataset:
             for key, feature in columns_of(manifest.spec.environment.changed(observe_images=False)).items():
                 values = arrays[key].astype(feature["dtype"], copy=False)
                 columns[key] = values.reshape(episode.length, *feature["shape"])
-            task = self.tasks[int(arrays["task_index"][0])]
-            return RecordedEpisode(columns, description.record(task))
+            tasks = [self.tasks[index] for index in arrays["task_index"].tolist()]
+            more = {"tasks": tasks} if len(set(tasks)) > 1 else {}
+            return RecordedEpisode(columns, description.record(tasks[0]) | more)
         except (ValueError, KeyError, TypeError) as error:
             raise DatasetError(
                 "An episode of the dataset has invalid values.",

@@ -17,6 +17,7 @@ from lerobot_adamanip.assets import AssetSource, is_asset_id
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, RATES, STATES
+from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
@@ -108,11 +109,12 @@ class Manifest:
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""
         spec = self.spec
+        absent = ("environment",) if spec.mistakes else ("environment", "mistakes")
         return {
             "format": FORMAT,
             "category": spec.category,
             "collection": {
-                **to_stored({name: value for name, value in vars(spec).items() if name != "environment"}),
+                **to_stored({name: value for name, value in vars(spec).items() if name not in absent}),
                 "objects": list(spec.objects),
                 "environment": environment_json(spec.environment),
             },
@@ -242,12 +244,11 @@ _DENSE: Mapping[str, Check] = {
     "cameras": optional(listing(choice(tuple(CAMERAS)), 1, len(CAMERAS))),
     "image_source": optional(choice(IMAGE_SOURCES)),
 }
-
-
 _OPTIONAL: Mapping[str, Check] = {
     "sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts"),
     "self_calibration": flag,
     "hints": number(0.0, 1.0),
+    "memory": choice((EVENTS, TEXT)),
 }
 """Options that are there if they differ from their defaults."""
 
@@ -271,11 +272,19 @@ _COLLECTION: Mapping[str, Check] = {
     "expert_share": number(0.0, 1.0),
     **{name: integer(*limits) for name, limits in LIMITS.items()},
 }
+
+
+def _collection(name: str, value: Any) -> Any:
+    """Checks the options of a collection; mistakes are there for demonstrations that have some."""
+    has_mistakes = isinstance(value, Mapping) and "mistakes" in value
+    return table({**_COLLECTION, **({"mistakes": number(0.0, 1.0)} if has_mistakes else {})})(name, value)
+
+
 _COUNT = integer(0, 1000 * MAX_EPISODES)
 _MANIFEST: Mapping[str, Check] = {
     "format": integer(FORMAT, FORMAT),
     "category": choice((*CATEGORIES, ALL)),
-    "collection": table(_COLLECTION),
+    "collection": _collection,
     "versions": _VERSIONS,
     "external_assets": mapping(check_object_id, text(r"[0-9a-f]{32}", "a hash"), MAX_OBJECTS),
     "attempts": optional(table(dict.fromkeys(("kept", "attempted", "given_up"), _COUNT))),

@@ -16,6 +16,7 @@ from lerobot_adamanip.datasets.conditions import counted_labels, episode_values
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.selection import selection_path
+from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_by_kind
 from lerobot_adamanip.evaluation.metrics import Recovery, recovery
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
 from lerobot_adamanip.evaluation.record import EpisodeRecord, hidden_names
@@ -79,6 +80,7 @@ class DatasetStats:
         fps: steps per second.
         failures: failed tries of an episode -> number of labelled episodes.
         groups: all episodes first, then groups by category, split of objects, and hidden value.
+        failed_by_kind: category -> kind of try -> number of failed ones, where episodes store their tries in order.
         recovery: results after a failed try; None if no episode stores its tries in order.
         attempts: None if unknown, as for merged datasets and parts of others.
     """
@@ -93,6 +95,7 @@ class DatasetStats:
     fps: int
     failures: Mapping[int, int]
     groups: Mapping[Group, GroupStats]
+    failed_by_kind: FailedTries
     recovery: Recovery | None
     attempts: Attempts | None
 
@@ -133,7 +136,7 @@ def read_stats(root: str | Path) -> DatasetStats:
     """
     dataset = Dataset(root)
     try:
-        table, records, is_dense = _table(dataset), _records(dataset), is_dense_collection(dataset.features)
+        table, records, is_dense = _table(dataset), episode_records(dataset), is_dense_collection(dataset.features)
         return DatasetStats(
             root=str(dataset.root),
             objects=int(table["object_id"].nunique()),
@@ -145,6 +148,7 @@ def read_stats(root: str | Path) -> DatasetStats:
             fps=dataset.fps,
             failures=dict(sorted(Counter(table["failed_tries"][table["labelled"]].tolist()).items())),
             groups={group: _count(episodes) for group, episodes in _groups(table).items()},
+            failed_by_kind=failed_tries_by_kind(records),
             recovery=recovery(records) if records else None,
             attempts=_attempts(dataset.root),
         )
@@ -219,7 +223,7 @@ def _count(table: DataFrame) -> GroupStats:
     )
 
 
-def _records(dataset: Dataset) -> list[EpisodeRecord]:
+def episode_records(dataset: Dataset) -> list[EpisodeRecord]:
     """Returns the valid records of episodes with tries."""
     records = []
     for episode in dataset.episodes:

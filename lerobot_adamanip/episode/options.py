@@ -10,6 +10,7 @@ from typing import Any
 from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, RATES, STATES
+from lerobot_adamanip.contract.memory import NO_MEMORY, check_memory
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
@@ -59,6 +60,7 @@ class EnvironmentOptions:
         state: kind of state in dense control, see `STATES`. Key frames have the contract's.
         max_steps: of a dense episode; None: `EPISODE_SECONDS`.
         observe_cloud, observe_effort: whether dense observations hold point cloud and effort. Key frames always do.
+        memory: memory of felt tries in observations, see `contract.memory.MEMORIES`.
         image_size: side of an image [px].
         observe_images: whether observations hold images; None: in dense control, and if this machine renders.
         cameras: cameras of the images; None: all in dense control, the front camera in key frames.
@@ -98,6 +100,7 @@ class EnvironmentOptions:
     max_steps: int | None = None
     observe_cloud: bool = False
     observe_effort: bool = False
+    memory: str = NO_MEMORY
     image_size: int = IMAGE_SIZE
     observe_images: bool | None = None
     cameras: tuple[str, ...] | None = None
@@ -146,6 +149,7 @@ class EnvironmentOptions:
         require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
         require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
         require_choice("kind of state", self.state, STATES, hint="--env.state=pose")
+        check_memory(self.memory, control=self.control, action=self.action)
         if self.fps not in RATES:
             raise ConfigurationError("Wrong rate of control.", got=self.fps, allowed=str(RATES), hint="--env.fps=10")
         if self.max_steps is not None:

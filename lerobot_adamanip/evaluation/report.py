@@ -8,6 +8,7 @@ from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
+from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_by_kind
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
 from lerobot_adamanip.evaluation.rates import Difference, Mean, Rate, difference, encode, rate
 from lerobot_adamanip.evaluation.record import (
@@ -108,6 +109,7 @@ class EvaluationSummary:
         made_by: ``simulation_version``, ``version`` and ``mechanism_rules`` -> values that occur; several values if
             evaluations were mixed.
         versions: installed versions of each episode, by name.
+        failed_tries: category -> kind of try -> number of failed ones, see `failed_tries`.
         limits: field of a record in `_LIMITS` -> values that occur, as text.
     """
 
@@ -119,6 +121,7 @@ class EvaluationSummary:
     versions: Sequence[Mapping[str, str]]
     limits: Mapping[str, tuple[str, ...]]
     again: Mapping[int, tuple[Rate, Mean]]
+    failed_tries: FailedTries
 
     @property
     def scenes(self) -> str:
@@ -151,6 +154,7 @@ class EvaluationSummary:
                 for name, success in self.objects.items()
             },
             **({"again": again} if again else {}),
+            "failed_tries_by_kind": self.failed_tries,
             **{f"{name.removesuffix('s')}s": values for name, values in self.made_by.items()},
             "installed": joined_versions(self.versions),
         }
@@ -176,6 +180,7 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         versions=[record.provenance.versions for record in kept],
         limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
         again=_again(kept) if max((record.repeat for record in kept), default=0) else {},
+        failed_tries=failed_tries_by_kind(kept),
     )
 
 

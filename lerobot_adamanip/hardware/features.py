@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.memory import MEMORY, MEMORY_NAMES, memory_feature
 from lerobot_adamanip.contract.schema import (
     ACTION,
     EFFORT_NAMES,
@@ -68,6 +69,16 @@ def recorded_kind(feature: Mapping[str, Any] | None, kinds: Mapping[str, tuple[s
 def is_former(features: Mapping[str, Any]) -> bool:
     """Returns whether a recording has the former format, with a clock and the result in ``observation.state``."""
     return set(FORMER_NAMES) <= set(names_of(features.get(STATE)))
+
+
+def split_memory(features: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns features with the memory in a column of its own: LeRobot puts all numbers of a robot into the state."""
+    names = names_of(features.get(STATE))
+    if not set(MEMORY_NAMES) <= set(names):
+        return dict(features)
+    own = [name for name in names if name not in MEMORY_NAMES]
+    state = {**features[STATE], "shape": (len(own),), "names": own}
+    return {**features, STATE: state, MEMORY: memory_feature()}
 
 
 def recorded_features(features: Mapping[str, Any]) -> dict[str, Any]:

@@ -13,7 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.control import EE_POSE, FULL
+from lerobot_adamanip.contract.memory import MEMORY_NAMES
 from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.dense_kinds import encode_action, named_state, state_of
@@ -41,6 +43,7 @@ class RobotSession:
         calibrations: camera calibrations by camera key.
         details: further descriptions from the backend (twin: its annotations and episode).
         rows: rows of the latest observations, for the recorder.
+        memory: memory of felt tries, if observations hold it; each episode starts without tries.
         episodes: counter of started and abandoned episodes. At each, teleoperators anchor their goal again.
     """
 
@@ -52,8 +55,11 @@ class RobotSession:
     state: str = FULL
     calibrations: dict[str, CameraCalibration] = field(default_factory=dict)
     details: dict[str, Any] = field(default_factory=dict)
+    memory: Memory | None = None
     episodes: int = 0
     rows: ObservedRows = field(default_factory=ObservedRows)
+    _remembered_episode: int = 0
+    _acted: tuple[NDArray[np.float32], NDArray[np.float32]] | None = None
 
     @property
     def success(self) -> bool:
@@ -68,12 +74,25 @@ class RobotSession:
             stamp: its measurement time since connection [s].
 
         Returns:
-            Numbers of the reading by name: those of `state`, and the tool pose.
+            Numbers of the reading by name: those of `state`, the tool pose, and the memory.
         """
         self.reading = reading
         sent = pose_vector(reading.tcp_in_base, reading.gripper) if self.sent is None else self.sent
-        self.rows.add(state_of(self.state, reading), recorded_row(self.action, reading, sent, stamp))
-        return named_state(self.state, reading)
+        state = state_of(self.state, reading)
+        self.rows.add(state, recorded_row(self.action, reading, sent, stamp))
+        return {**named_state(self.state, reading), **self._remember(state)}
+
+    def _remember(self, state: NDArray[np.float32]) -> dict[str, float]:
+        """Returns the memory by name, after the action since the observation before; empty without a memory."""
+        acted, self._acted = self._acted, None
+        if self.memory is None:
+            return {}
+        if self._remembered_episode != self.episodes:
+            self._remembered_episode = self.episodes
+            self.memory.reset()
+        elif acted is not None:
+            self.memory.after(*acted, state)
+        return dict(zip(MEMORY_NAMES, self.memory.numbers().tolist(), strict=True))
 
     def act(self, sent: NDArray[np.float32], observed: ArmReading) -> dict[str, float]:
         """Stores a target that the arm accepted after an observation, and whether the task is done now.
@@ -83,7 +102,9 @@ class RobotSession:
         """
         self.sent = sent
         action = encode_action(self.action, sent, observed)
-        self.rows.complete(np.array(list(action.values()), np.float32), sent, self.success)
+        executed = np.array(list(action.values()), np.float32)
+        self.rows.complete(executed, sent, self.success)
+        self._acted = state_of(self.state, observed), executed
         return action
 
 

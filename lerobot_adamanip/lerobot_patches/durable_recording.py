@@ -47,7 +47,14 @@ from lerobot_adamanip.datasets.opening import former_error
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.camera_frames import save_calibration
-from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY, is_dense, is_former, recorded_features
+from lerobot_adamanip.hardware.features import (
+    CALIBRATIONS,
+    SAFETY,
+    is_dense,
+    is_former,
+    recorded_features,
+    split_memory,
+)
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
@@ -89,7 +96,8 @@ def apply() -> None:
 
 def with_robot_columns(features: dict[str, Any]) -> dict[str, Any]:
     """Returns the features of a new dataset, with the recorder's columns if it is a recording of our robots."""
-    return recorded_features(features) if is_dense(features) and not is_former(features) else features
+    own = split_memory(features)
+    return recorded_features(own) if is_dense(own) and not is_former(own) else features
 
 
 def comparing(stock: Callable[..., None]) -> Callable[..., None]:

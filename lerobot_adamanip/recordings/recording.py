@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.contract.dense_codec import pose_of_delta
+from lerobot_adamanip.contract.memory import instruction_of
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations
@@ -130,7 +131,7 @@ class DenseRecording:
             stamp=numbers([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
             outcome=np.rint(numbers([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),
             success=success.reshape(-1) > 0.5,
-            task=self.dataset.tasks[int(columns["task_index"][0])],
+            task=instruction_of(self.dataset.tasks[int(columns["task_index"][0])]),
             asked=requested,
             corrected=None if corrected is None else corrected.reshape(-1).astype(bool),
         )

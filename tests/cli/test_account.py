@@ -66,7 +66,7 @@ def test_no_command_begins_without_it(
         "push": "environment --repo-id me/x",
         "annotate": "new",
         "view": "dataset --out new",
-        **dict.fromkeys(("merge", "filter", "split", "keyframes"), "dataset --out new"),
+        **dict.fromkeys(("merge", "filter", "split", "keyframes", "memory"), "dataset --out new"),
         **dict.fromkeys(("collect", "replay", "render", "check", "stats", "calibrate"), "dataset"),
     }
     monkeypatch.setattr(load(name), "run", lambda _: pytest.fail("it began"))

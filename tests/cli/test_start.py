@@ -36,7 +36,7 @@ WRONG = (
     "replay x --episode first", "render", "check", "repair", "keyframes one", "stats", "merge one", "filter x --out",
     "split one", "view", "push datset x --repo-id a/b", "objects --category dor", "annotate --category dor",
     "calibrate x --mounting hand", "report --label", "benchmark --workers x",
-    "expert --category dor",
+    "expert --category dor", "memory x",
 )  # fmt: skip
 
 

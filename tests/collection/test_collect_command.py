@@ -22,6 +22,7 @@ _CHANGED: dict[str, Any] = {
     "late_starts": 0.25, "keep_failed": True, "policy": "a" * 32, "expert_share": 0.75, "num_points": 512,
     "image_size": 32, "observe_images": True, "cloud_source": "render", "poses": "fixed", "mechanism_rules": "hard",
     "max_failed_tries": "best", "sensing": "d435,camera_error_mm=20", "self_calibration": True, "hints": 0.5,
+    "memory": "text", "mistakes": 0.25,
 }  # fmt: skip
 """Another value than the default for every field that a command can set."""
 
@@ -85,3 +86,18 @@ def test_what_no_option_sets_stands_in_a_comment() -> None:
     assert len(comments) == 2
     assert "max_key_frames=20" in comments[0]
     assert "hidden_overrides={'locked': True}" in comments[1]
+
+
+@pytest.mark.parametrize("memory", ["events", "text"])
+def test_a_command_names_a_memory_and_a_default_one_has_neither_option(memory: str) -> None:
+    plain = CollectionSpec(EnvironmentOptions(), ("safe_000",))
+    assert not {"memory", "mistakes"} & {*_flat(plain)}
+    assert not any(word in collect_command(plain, "demos") for word in ("--memory", "--mistakes"))
+    spec = dataclasses.replace(plain, environment=EnvironmentOptions(memory=memory))
+    assert _flat(spec)["memory"] == memory
+    assert _options(_parsed(collect_command(spec, "demos"))) == _options(spec)
+
+
+def _flat(spec: CollectionSpec) -> dict[str, Any]:
+    content = Manifest(spec).to_json()["collection"]
+    return {**content, **content["environment"]}

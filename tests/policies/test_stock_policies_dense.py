@@ -1,4 +1,4 @@
-"""What docs/lerobot_policies.md says of control rate: its commands run as typed, without Vulkan, with fewer steps."""
+"""What two pages say of stock policies at control rate: their commands run as typed, without Vulkan, in fewer steps."""
 
 from __future__ import annotations
 
@@ -15,9 +15,10 @@ import pytest
 from documents import ROOT, commands
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.memory import MEMORY, MEMORY_NAMES
 
 pytestmark = [pytest.mark.sim, pytest.mark.nightly, pytest.mark.usefixtures("no_vulkan")]
-PAGE = "docs/lerobot_policies.md"
+PAGES = ("docs/lerobot_policies.md", "docs/memory.md")
 MODULES = {
     "adamanip": "lerobot_adamanip.cli.main",
     "lerobot-train": "lerobot.scripts.lerobot_train",
@@ -29,22 +30,26 @@ SHORT = ("--policy.device=cpu", "--env.episode_length=12", "--eval.n_episodes=1"
 TRAINING = (*SHORT, "--batch_size=2", "--steps=2", "--log_freq=1", "--num_workers=0", "--env_eval_freq=2")
 UNET = ("--policy.down_dims=[16,32]", "--policy.num_inference_steps=2")
 CLOUDS = ("--policy.encoder_dims=[16,16]", "--policy.encoder_out_dim=16", *UNET)
+ACT = (
+    "--policy.dim_model=16", "--policy.n_heads=2", "--policy.dim_feedforward=16", "--policy.n_encoder_layers=1",
+    "--policy.n_vae_encoder_layers=1", "--policy.latent_dim=4",
+)  # fmt: skip
 POLICIES = {
-    "bottles_act": (
-        "--policy.dim_model=16", "--policy.n_heads=2", "--policy.dim_feedforward=16", "--policy.n_encoder_layers=1",
-        "--policy.n_vae_encoder_layers=1", "--policy.latent_dim=4",
-    ),
+    "bottles_act": ACT,
+    "felt_act": ACT,
     "bottles_diffusion": ("--policy.n_groups=4", *UNET),
+    "felt_diffusion": ("--policy.n_groups=4", *UNET),
     "clouds_dense": CLOUDS,
     "clouds_dp3": CLOUDS,
 }  # fmt: skip
 """Folder of a documented training -> the options that make its policy tiny."""
 
 
-def documented(program: str, mark: str, page: str = PAGE) -> list[str]:
-    """The page's command of a program that says ``mark``."""
-    pages = [param.values[0] for param in commands(program) if param.id.startswith(page)]
-    (words,) = (words for words in pages if any(re.search(rf"{mark}(?!\w)", word) for word in words))
+def documented(program: str, mark: str, *pages: str) -> list[str]:
+    """The command of a program that says ``mark``, of `PAGES` or other pages."""
+    pages = pages or PAGES
+    known = [param.values[0] for param in commands(program) if param.id.startswith(pages)]
+    (words,) = (words for words in known if any(re.search(rf"{mark}(?!\w)", word) for word in words))
     return words
 
 
@@ -127,3 +132,15 @@ def test_a_policy_of_simulated_data_drives_the_twin_without_another_option(folde
     assert "The rollout runs at 10 Hz" in output
     (line,) = (folder / "outputs" / "twin" / "act.jsonl").read_text().splitlines()
     assert json.loads(line)["object_id"].startswith("bottle")
+
+
+@pytest.mark.parametrize("name", ["felt_act", "felt_diffusion"])
+def test_stock_policies_train_with_a_memory_and_are_evaluated_with_it_alone(folder: Path, name: str) -> None:
+    checkpoint = train(folder, name)
+    config = json.loads((checkpoint / "config.json").read_text())
+    assert config["input_features"][MEMORY] == {"type": "ENV", "shape": [len(MEMORY_NAMES)]}
+    dense = ("--env.type=adamanip_bottle", "--env.control=dense", "--env.image_size=96", f"--policy.path={checkpoint}")
+    options = (*dense, *SHORT, f"--output_dir={folder / 'outputs' / name}_eval")
+    run(["lerobot-eval"], folder, *options, "--env.memory=events")
+    with pytest.raises(AssertionError, match=r"--env\.memory=events"):
+        run(["lerobot-eval"], folder, *options)

@@ -20,8 +20,10 @@ from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.contract.dense_codec import pose_of_delta
+from lerobot_adamanip.contract.memory import MEMORY
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.episode.memory import Memory, stored_memory
 from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES, STAMP_NAME
 from lerobot_env_adamanip.dense_env import DenseEnv
 
@@ -218,3 +220,33 @@ def test_real_time_is_fast_enough_for_people() -> None:
         assert late / len(ages) < 0.05
     finally:
         robot.disconnect()
+
+
+@pytest.mark.nightly
+def test_a_recording_and_the_simulators_log_give_the_same_felt_tries(tmp_path: Path) -> None:
+    """A locked door is pulled at, and opened after the button; the simulator gets what the twin was sent."""
+    locked = "--robot.hidden={locked: true}"
+    root = record(tmp_path / "felt", "--dataset.episode_time_s=3600", locked, "--robot.memory=events")
+    episode = rows(root)
+    states, actions, memory = (
+        np.stack(episode[key].to_numpy()) for key in ("observation.state", schema.EXECUTED, MEMORY)
+    )
+    assert states.shape[1] == len(STATES[POSE])
+    kinds: dict[str, Any] = {"control": "dense", "action": EE_DELTA, "fps": FPS}
+    stored = list(stored_memory(states, actions, Memory(**kinds)))
+    assert memory.tobytes() == np.stack([numbers for numbers, _ in stored]).tobytes()
+    env = DenseEnv("microwave", observe_images=False, fps=FPS, memory="text", max_steps=len(actions) + 1)
+    try:
+        env.reset(seed=SEED, options={"hidden_overrides": {"locked": True}})
+        simulated = [env.task_description]
+        for action in actions[:-1]:
+            env.step(action)
+            simulated.append(env.task_description)
+    finally:
+        env.close()
+    assert simulated[-1] == env.task + stored[-1][1]
+    assert any("pulled: blocked" in said for said in simulated)
+    assert "times: moved" in simulated[-1], "the door is pulled open"
+    assert sum(env.task + words == said for said, (_, words) in zip(simulated, stored, strict=True)) > 0.95 * len(
+        stored
+    )

@@ -7,6 +7,7 @@ from typing import Any
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
+from lerobot_adamanip.contract.memory import MEMORY, memory_feature
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
 from lerobot_adamanip.datasets.opening import INFO
@@ -57,6 +58,8 @@ def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> N
 def contract_of(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
     """Returns the contract for this dataset's number of points and image size."""
     of_lerobot = {key: {"dtype": dtype, "shape": (1,)} for key, dtype in OF_LEROBOT.items()}
+    if MEMORY in features:
+        of_lerobot |= {MEMORY: memory_feature()}
     if is_dense_collection(features):
         return {**dense_contract(features), **of_lerobot}
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))

@@ -16,12 +16,14 @@ from lerobot.cameras.utils import make_cameras_from_configs
 from lerobot.robots.robot import Robot
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.control import ACTION_NAMES, STATES
+from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, KEYFRAME, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY_NAMES
+from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import check_caller
-from lerobot_adamanip.hardware.adamanip_franka.interface import adopt_training_rate, interface_of
+from lerobot_adamanip.hardware.adamanip_franka.interface import adopt_training_rate, command_rate, interface_of
 from lerobot_adamanip.hardware.adamanip_franka.observed import camera_features, check_cameras, pictures
 from lerobot_adamanip.hardware.arm import ArmReading, Execution, ServerOptions
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
@@ -147,9 +149,10 @@ class AdamanipFranka(Robot):
 
     @cached_property
     def observation_features(self) -> dict[str, Any]:
-        """State and camera images. LeRobot makes all of them policy inputs."""
-        state = dict.fromkeys(STATES[self.interface.state], float)
-        return {**state, **camera_features(self.cameras, depth=self.interface.depth)}
+        """State, memory and camera images. LeRobot makes all of them policy inputs."""
+        memory = MEMORY_NAMES if self.config.memory == EVENTS else ()
+        numbers = dict.fromkeys((*STATES[self.interface.state], *memory), float)
+        return {**numbers, **camera_features(self.cameras, depth=self.interface.depth)}
 
     @cached_property
     def action_features(self) -> dict[str, type]:
@@ -241,6 +244,12 @@ class AdamanipFranka(Robot):
                 handler.addFilter(self._slow_loop)
         self._session.execution = execution = Execution(self.config.execution)
         self._session.action, self._session.state = self.interface.action, self.interface.state
+        if self.config.memory == EVENTS:
+            is_dense = execution is Execution.STREAM
+            rate = round(command_rate(self.config))
+            self._session.memory = Memory(
+                control=DENSE if is_dense else KEYFRAME, action=self.interface.action, fps=rate
+            )
         time_limit = self.config.motion_time
         self._driver = MotionDriver(self._client, self._session, SafetyFilter(limits), execution, time_limit)
         if self.config.recover_on_connect:

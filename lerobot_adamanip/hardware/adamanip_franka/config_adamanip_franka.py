@@ -8,6 +8,7 @@ from lerobot.cameras.configs import CameraConfig
 from lerobot.robots.config import RobotConfig
 
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
+from lerobot_adamanip.contract.memory import EVENTS, NO_MEMORY
 from lerobot_adamanip.hardware.backends.franky_options import MODELS, FrankyOptions
 from lerobot_adamanip.util.errors import require_choice, shown_by_parsers
 
@@ -41,6 +42,10 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
     depth: bool | None = None
     """Whether observations hold the cameras' depth, from which clouds are made. LeRobot's own policies fail on it.
     Default: in key frames, and for a policy that needs it."""
+
+    memory: str = NO_MEMORY
+    """Memory of felt tries in observations: events (numbers in observation.environment_state), or none. `adamanip
+    memory` adds it to a recording later, also as text."""
 
     cameras: dict[str, CameraConfig] = field(default_factory=dict)
     """Cameras by key. The depth of the camera ``front`` becomes the point cloud."""
@@ -79,6 +84,7 @@ class AdamanipFrankaConfig(FrankyOptions, RobotConfig):
         RobotConfig.__post_init__(self)
         with shown_by_parsers():
             require_choice("execution", self.execution, EXECUTIONS)
+            require_choice("memory", self.memory, (NO_MEMORY, EVENTS), hint="--robot.memory=events")
             require_choice("kind of action", self.action or EE_DELTA, ACTION_NAMES, hint="--robot.action=ee_delta")
             require_choice("kind of state", self.state or POSE, STATES, hint="--robot.state=pose")
             if self.model:

@@ -119,5 +119,5 @@ def command_rate(config: Any) -> float:
     """Returns the rate of the command's loop [Hz]: the option ``fps`` of a twin, or that of LeRobot's command."""
     caller = Caller.of(config)
     sources = (caller.dataset, caller.config, getattr(caller.config, "dataset", None))
-    rates = [getattr(source, "fps", None) for source in sources]
-    return float(next((rate for rate in (config.fps, *rates) if rate), DEFAULT_RATE))
+    rates = [getattr(source, "fps", None) for source in (config, *sources)]
+    return float(next((rate for rate in rates if rate), DEFAULT_RATE))

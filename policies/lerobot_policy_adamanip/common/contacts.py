@@ -13,13 +13,11 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
+from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD, pushes
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
-MIN_SHIFT_M, MIN_TURN_RAD = 0.008, 0.1
-"""Least commanded motion of a closed hand that is an event; a grip that settles moves less. At control rate, see
-`strokes`."""
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
 """Units of the undone part of a motion [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
 EVENT_RANGE = 3.0
@@ -55,16 +53,11 @@ class Past:
 
     @cached_property
     def contact(self) -> Tensor:
-        """Mask (B, H) of contact events: the hand is closed before and after, and its commanded motion is large enough.
-
-        A closed hand that is empty can only push, so only its motion forward counts.
-        """
+        """Mask (B, H) of contact events: the hand is closed before and after, and pushes, see `felt_tries.pushes`."""
         motion = self.motions[0]
         shift, turn = motion[..., :3].norm(dim=-1), motion[..., 3:6].norm(dim=-1)
         opening = self.poses[:, :-1, GRIPPER_DIM]
-        holds = (opening >= EMPTY_HAND) & (opening <= OPEN_HAND)
-        far = (shift > self.min_motion[0]) | (turn > self.min_motion[1])
-        moves = holds & far | (motion[..., 2] > self.min_motion[0])
+        moves = pushes(shift, turn, motion[..., 2], opening, self.min_motion)
         closed = ~self.opens
         result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
         return result

@@ -13,10 +13,11 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from lerobot_adamanip.contract import memory
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
 
 MOTION_DIM = 7
-MOTION_UNITS = (0.05, 0.05, 0.05, 0.5, 0.5, 0.5, 1.0)
+MOTION_UNITS = (*memory.MOTION_UNITS, 1.0)
 """Units of a motion [m, m, m, rad, rad, rad, -]: a typical motion in contact."""
 SMALL = 1e-6
 """Sine below which sine and angle are equal."""

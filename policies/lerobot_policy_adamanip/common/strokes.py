@@ -14,14 +14,9 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD, SAME_DIRECTION
 from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.geometry import MOTION_UNITS, constant
-
-MIN_LAG_M, MIN_LAG_RAD = 0.004, 0.04
-"""Least lag of a pushing hand behind its command, and least motion of a stroke that is an event. A hand that holds a
-part at rest lags by up to 0.001 m and 0.016 rad, one that moves or is blocked by 0.01 m or 0.05 rad."""
-SAME_DIRECTION = 0.5
-"""Least cosine between the commanded motions of two steps of a stroke."""
 
 
 def starts_stroke(commands: Tensor, poses: Tensor) -> Tensor:

@@ -26,7 +26,8 @@ from lerobot_adamanip.contract.schema import (
     STATE,
     Statistics,
 )
-from lerobot_policy_adamanip.common import geometry, strokes
+from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD
+from lerobot_policy_adamanip.common import geometry
 from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
 from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
@@ -193,7 +194,7 @@ class BaseDiffusionHead(DiffusionHead):
 class MemoryDiffusionHead(ToolHead, DiffusionHead):
     """The head for control rate: with a memory of contact events, and no rule beside the network."""
 
-    MIN_MOTION = strokes.MIN_LAG_M, strokes.MIN_LAG_RAD
+    MIN_MOTION = MIN_LAG_M, MIN_LAG_RAD
     memory: ContactMemory | None
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:

@@ -16,8 +16,9 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND, PRE_GRASP
 from lerobot_adamanip.contract.schema import GRIPPER_DIM, POSITION_DIMS, ROTATION_DIMS
+from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import MIN_SHIFT_M, Past, surely_none
+from lerobot_policy_adamanip.common.contacts import Past, surely_none
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
 FAILED_SHARE = 0.25

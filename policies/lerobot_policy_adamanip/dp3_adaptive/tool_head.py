@@ -16,8 +16,9 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
+from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import MIN_SHIFT_M, MIN_TURN_RAD, Past, surely_none
+from lerobot_policy_adamanip.common.contacts import Past, surely_none
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.common.inputs import Window
