@@ -268,10 +268,8 @@ def attempt_episode(
     if actor is not None:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
         correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
-        if dense is not None:
-            result = dense_corrected_rollout(dense, observation, correcting, record)
-        else:
-            result = corrected_rollout(env, observation, correcting, record)
+        run: Any = corrected_rollout if dense is None else dense_corrected_rollout
+        result = run(env, observation, correcting, record)
     elif dense is not None:
         result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
     elif spec.mistakes > 0:

@@ -16,9 +16,8 @@ from lerobot_adamanip.evaluation.report import summarise
 
 def test_every_category_names_its_two_joints() -> None:
     assert set(KINDS_OF_TRIES) == set(CATEGORIES)
-    assert [kind_of_try("safe", joint, sign) for joint in (0, 1) for sign in (1, -1)] == [
-        "door pulled", "door pulled, back", "knob turned +", "knob turned -",
-    ]  # fmt: skip
+    expected = ["door pulled", "door pulled, back", "knob turned +", "knob turned -"]
+    assert [kind_of_try("safe", joint, sign) for joint in (0, 1) for sign in (1, -1)] == expected
 
 
 def test_failed_tries_are_counted_by_kind_and_successful_ones_are_not() -> None:
