@@ -122,7 +122,8 @@ def mistaken_rollout(
         driver.mistakes.after(hand.tcp_in_base, goal.tcp_in_base if sent is None else sent, env.labels)
         has_taken_over |= sent is not None
         goal = next_goal(expert, env.feedback) if sent is None else None
-        if goal is None and has_taken_over:
+        # After success an expert that takes over anew might never find that it has nothing left to do.
+        if sent is not None or (goal is None and has_taken_over and not success):
             expert.close()
             expert = driver.take_over(belief=belief, generator=driver.generator)
             goal = next(expert, None)

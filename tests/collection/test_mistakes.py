@@ -136,6 +136,7 @@ def test_the_expert_goes_on_from_its_mistakes() -> None:
             assert any(frame.executed is not None for frame in frames)
             opened = [frame.success for frame in frames].index(True) if result.success else len(frames)
             assert all(frame.executed is None for frame in frames[opened + 1 :])
+            assert len(frames) < env.max_key_frames, "it ends where the expert ends"
     finally:
         env.close()
     assert succeeded >= 3
