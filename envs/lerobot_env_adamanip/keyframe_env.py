@@ -169,6 +169,8 @@ class RunningEpisode:
             try_sequence=tuple((item.joint, item.direction, item.failed) for item in simulation.tries.tries),
             joints=simulation.joint_positions(),
             repeat=self._repeat,
+            sensing=self._options.sensing,
+            hints=self._options.hints,
             provenance=self._provenance,
         )
 

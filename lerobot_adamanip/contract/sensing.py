@@ -26,6 +26,8 @@ from lerobot_adamanip.util.errors import ConfigurationError, nearest
 
 EXACT = "exact"
 """Level without errors, the default."""
+SENSING_TEXT = r"[a-z0-9_=.,-]{1,400}"
+"""Form of a level with its parts, in files."""
 BASELINE_M, FOCAL_PX = 0.050, 424.0
 """Distance of the D435's imagers [m], and their focal length at 848 px [2]."""
 

@@ -19,6 +19,7 @@ from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, RATES, STATES
 from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
+from lerobot_adamanip.contract.sensing import SENSING_TEXT
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
     MAX_EPISODES,
@@ -245,7 +246,7 @@ _DENSE: Mapping[str, Check] = {
     "image_source": optional(choice(IMAGE_SOURCES)),
 }
 _OPTIONAL: Mapping[str, Check] = {
-    "sensing": text(r"[a-z0-9_=.,-]{1,400}", "a level of sensing with its parts"),
+    "sensing": text(SENSING_TEXT, "a level of sensing with its parts"),
     "self_calibration": flag,
     "hints": number(0.0, 1.0),
     "memory": choice((EVENTS, TEXT)),

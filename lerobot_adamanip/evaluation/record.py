@@ -20,6 +20,7 @@ from typing import Any
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
 from lerobot_adamanip.contract.seeds import SPLITS
+from lerobot_adamanip.contract.sensing import EXACT, SENSING_TEXT
 from lerobot_adamanip.episode.options import POSES
 from lerobot_adamanip.mechanisms import MECHANISM_RULES
 from lerobot_adamanip.util import files, json_fields
@@ -32,6 +33,8 @@ TryMade = tuple[int, int, bool]
 """A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
 Boundaries = Mapping[tuple[str, str], float]
 """(category, hidden name) -> median that halves a continuous range."""
+_OPTIONAL: Mapping[str, Any] = {"repeat": 0, "sensing": EXACT, "hints": 0.0}
+"""Fields that a log holds only if they differ from these values."""
 _STORED_RULES = "mechanism_preset"
 """Key of the mechanism rules in a log."""
 
@@ -89,6 +92,8 @@ class EpisodeRecord:
         max_failed_tries: failed tries allowed; None without a limit.
         joints: name -> final position [rad or m].
         repeat: number of the episodes in a row before this one that played the same scene, see ``--env.repeats``.
+        sensing: errors of the sensors, see `lerobot_adamanip.contract.sensing`.
+        hints: share of episodes whose instruction says what is hidden.
         provenance: software and run.
     """
 
@@ -107,6 +112,8 @@ class EpisodeRecord:
     max_failed_tries: int | None
     joints: Mapping[str, float] = field(default_factory=dict)
     repeat: int = 0
+    sensing: str = EXACT
+    hints: float = 0.0
     provenance: Provenance
 
     @property
@@ -153,7 +160,7 @@ class EpisodeRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the record as a flat JSON object; includes ``category`` for other tools."""
-        left_out = {"provenance"} if self.repeat else {"provenance", "repeat"}
+        left_out = {"provenance", *(name for name, value in _OPTIONAL.items() if getattr(self, name) == value)}
         own = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in left_out}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
         tries = [list(each) for each in self.try_sequence]
@@ -166,7 +173,7 @@ class EpisodeRecord:
     @classmethod
     def from_json(cls, content: object) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
-        values = _RECORD("the record", {"repeat": 0, **content} if isinstance(content, Mapping) else content)
+        values = _RECORD("the record", {**_OPTIONAL, **content} if isinstance(content, Mapping) else content)
         values["mechanism_rules"] = values.pop(_STORED_RULES)
         category = values.pop("category")
         provenance = Provenance(**{item.name: values.pop(item.name) for item in fields(Provenance)})
@@ -350,6 +357,8 @@ _RECORD = json_fields.table(
         "max_key_frames": _COUNT,
         "max_failed_tries": json_fields.optional(_COUNT),
         "repeat": _COUNT,
+        "sensing": json_fields.text(SENSING_TEXT, "a level of sensing with its parts"),
+        "hints": json_fields.number(0.0, 1.0),
         "poses": json_fields.choice(POSES),
         "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),

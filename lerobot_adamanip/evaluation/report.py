@@ -25,7 +25,10 @@ OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
 _SCENE_SPLITS = ("test", "validation", "train", "other")
 _NO_DATA = frozenset({"-", "0/0"})
 _MADE_BY = ("simulation_version", "version", "mechanism_rules")
-_LIMITS = {"max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses"}
+_LIMITS = {
+    "max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses",
+    "sensing": "errors of sensors", "hints": "shares of hints",
+}  # fmt: skip
 """Field of a record that decides how hard its episode is -> what a warning calls its values."""
 
 

@@ -151,7 +151,7 @@ def test_rules_that_change_nothing_are_told(logs: tuple[str, str], capsys: pytes
     assert "The mechanism rules hard are the paper rules for safe." in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["max_key_frames", "max_failed_tries", "poses"])
+@pytest.mark.parametrize("name", ["max_key_frames", "max_failed_tries", "poses", "sensing", "hints"])
 def test_other_limits_are_compared_with_a_warning(name: str) -> None:
     records = {label: [record(seed=1)] for label in ("one", "other")}
     assert not [each for each in compare(records).warnings() if "not to be compared" in each]

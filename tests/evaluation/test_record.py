@@ -113,6 +113,12 @@ def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:
         read_log(tmp_path / "binary")
 
 
+def test_errors_of_sensors_and_hints_are_logged_where_there_are_any() -> None:
+    plain, other = record(), record(sensing="d435,camera_error_mm=20", hints=0.5)
+    assert not {"sensing", "hints"} & plain.to_json().keys(), "a log without them is as before"
+    assert EpisodeRecord.from_json(json.loads(json.dumps(other.to_json()))) == other
+
+
 def test_a_repeat_is_an_episode_of_its_own_and_its_tries_are_reported_apart() -> None:
     plain, again = record(), record(repeat=1, blocked_pulls=1)
     assert "repeat" not in plain.to_json(), "a log without repeats is as before"
