@@ -46,11 +46,13 @@ POLICIES = {
 
 
 def documented(program: str, mark: str, *pages: str) -> list[str]:
-    """The command of a program that says ``mark``, of `PAGES` or other pages."""
-    pages = pages or PAGES
-    known = [param.values[0] for param in commands(program) if param.id.startswith(pages)]
-    (words,) = (words for words in known if any(re.search(rf"{mark}(?!\w)", word) for word in words))
-    return words
+    """The command of a program that says ``mark``, on the first of `PAGES` or of other pages that has one."""
+    for page in pages or PAGES:
+        known = [param.values[0] for param in commands(program) if param.id.startswith(page)]
+        if said := [words for words in known if any(re.search(rf"{mark}(?!\w)", word) for word in words)]:
+            (words,) = said
+            return words
+    raise AssertionError(f"no {program} of {mark}")
 
 
 def run(words: list[str], folder: Path, *changes: str) -> str:
