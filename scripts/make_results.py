@@ -29,7 +29,7 @@ IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
 MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "paper": means_beside_paper}
 """Scale -> its means in the README."""
-SCALES = ("test", "paper")
+SCALES = ("test", "paper", "control_rate")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"
@@ -47,6 +47,10 @@ PICTURES = """![Success over the failed tries that an episode may have](images/b
 ![Success by method and category, with intervals, scale test](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
+
+![Success at control rate, scale control_rate](images/benchmark_control_rate.png)
+
+![Training losses at control rate; an interrupted training has none](images/benchmark_control_rate_losses.png)
 """
 
 

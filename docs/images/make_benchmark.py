@@ -15,6 +15,8 @@ from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.evaluation.results import read_results
 
 SHOWN: Mapping[str, tuple[str, str, str]] = {
+    "control_rate": ("success", "control_rate.toml", "control_rate"),
+    "control_rate_losses": ("losses", "control_rate.toml", "control_rate"),
     "paper": ("success", "paper_table.toml", "paper"),
     "paper_losses": ("losses", "paper_table.toml", "paper"),
     "success": ("success", "default_policy.toml", "test"),
