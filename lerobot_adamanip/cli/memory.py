@@ -15,8 +15,8 @@ from lerobot_adamanip.cli.progress import show_progress
 class MemoryCommand:
     """Writes a copy of a dataset with a memory of felt tries, as `adamanip collect --memory` records it.
 
-    A felt try is what the closed hand was told to do and whether it was blocked, from poses and commands alone. Works
-    on key frames, on control rate, and on recordings of the robot or its twin.
+    A felt try is the commanded motion of a closed hand, and whether it was blocked, from poses and commands alone.
+    Works on key frames, at control rate, and on recordings of the robot or its twin.
     """
 
     root: DatasetFolder

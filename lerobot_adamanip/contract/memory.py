@@ -18,16 +18,16 @@ MEMORY = "observation.environment_state"
 NUM_TRIES = 4
 """Number of felt tries in the memory: the latest ones."""
 TRY_NAMES = (
-    "is_try", "x", "y", "z", *(f"r6d_{i}" for i in range(6)), *(f"told_{name}" for name in ("x", "y", "z")),
-    *(f"told_r{name}" for name in ("x", "y", "z")), *(f"did_{name}" for name in ("x", "y", "z")),
-    *(f"did_r{name}" for name in ("x", "y", "z")), "blocked", "times",
+    "is_try", "x", "y", "z", *(f"r6d_{i}" for i in range(6)), *(f"commanded_{name}" for name in ("x", "y", "z")),
+    *(f"commanded_r{name}" for name in ("x", "y", "z")), *(f"measured_{name}" for name in ("x", "y", "z")),
+    *(f"measured_r{name}" for name in ("x", "y", "z")), "blocked", "times",
 )  # fmt: skip
 """Numbers of one try; all are 0 without a try.
 
 ``is_try``: 1. ``x`` ... ``r6d_5``: tool pose in the robot base frame when the try began: position [m], rotation 6D.
-``told_*``: commanded motion in the tool's frame of that moment: translation and rotation vector in `MOTION_UNITS`.
-``did_*``: measured motion, likewise. ``blocked``: 1 if the hand was held back, 0 if it moved. ``times``: how often this
-try was made, as a share of `MAX_TIMES`.
+``commanded_*``: commanded motion in the tool's frame of that moment: translation, rotation vector, in `MOTION_UNITS`.
+``measured_*``: measured motion, likewise. ``blocked``: 1 if the hand was held back, 0 if it moved. ``times``: how often
+this try was made, as a share of `MAX_TIMES`.
 """
 MEMORY_NAMES = tuple(f"try_{number}.{name}.pos" for number in range(1, NUM_TRIES + 1) for name in TRY_NAMES)
 """Names of the column's numbers: ``try_1`` is the latest try. LeRobot's robot commands keep only

@@ -1,4 +1,4 @@
-"""Felt tries: what a closed hand was told to do, and what it did. One definition for key frames and control rate.
+"""Felt tries: the commanded and the measured motion of a closed hand. One definition for key frames and control rate.
 
 A felt try needs nothing but tool poses, finger openings and commands, which a real robot has too. It is no label:
 `lerobot_adamanip.episode.tries` defines the labels, from the simulator's contacts and joints.
@@ -74,23 +74,25 @@ class FeltEvent:
 
     Attributes:
         start: (4, 4) measured tool pose when the try began, robot base frame [m].
-        told: (6,) commanded motion in the tool's frame at the start: translation, rotation vector, in `MOTION_UNITS`.
-        did: (6,) measured motion, likewise.
+        commanded: (6,) motion in the tool's frame at the start: translation, rotation vector, in `MOTION_UNITS`.
+        measured: (6,) measured motion, likewise.
         blocked: whether the hand was held back.
         times: number of equal tries, this one included.
     """
 
     start: Array
-    told: Array
-    did: Array
+    commanded: Array
+    measured: Array
     blocked: bool
     times: int = 1
 
     def is_repeated_by(self, later: FeltEvent) -> bool:
         """Returns whether a later try has the same direction and result, and began where this one began or ended."""
-        end = self.start[:3, 3] + self.start[:3, :3] @ (self.did[:3] * MOTION_UNITS[:3])
+        end = self.start[:3, 3] + self.start[:3, :3] @ (self.measured[:3] * MOTION_UNITS[:3])
         away = min(np.linalg.norm(later.start[:3, 3] - place) for place in (self.start[:3, 3], end))
-        return bool(self.blocked == later.blocked and away < SAME_PLACE_M and _is_along(self.told, later.told))
+        return bool(
+            self.blocked == later.blocked and away < SAME_PLACE_M and _is_along(self.commanded, later.commanded)
+        )
 
 
 class FeltTries:
@@ -117,22 +119,22 @@ class FeltTries:
 
     def after(self, before: HandPose, command: HandPose, after: HandPose) -> None:
         """Advances by one step: a command that was sent from a measured hand, and the measured hand after it."""
-        told = tool_motion(before.tcp_in_base, command.tcp_in_base)
+        commanded = tool_motion(before.tcp_in_base, command.tcp_in_base)
         is_closed = command.gripper < CLOSED_HAND
         was_closed, self._was_closed = self._was_closed, is_closed
-        motion = told * MOTION_UNITS
+        motion = commanded * MOTION_UNITS
         shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
         is_push = is_closed and was_closed and pushes(shift, turn, motion[2], before.gripper, self._min_motion)
-        goes_on = is_push and self._stroke is not None and _is_along(told, self._stroke.direction)
+        goes_on = is_push and self._stroke is not None and _is_along(commanded, self._stroke.direction)
         if self._stroke is not None and (not goes_on or self._held_steps is None):
             self._end()
         if not is_push:
             return
         start = before if self._stroke is None else self._stroke.start
         held = 0 if self._stroke is None else self._stroke.held
-        did = tool_motion(before.tcp_in_base, after.tcp_in_base)
-        held = held + 1 if _share(told, did) < FELT_SHARE else 0
-        self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, told, held)
+        measured = tool_motion(before.tcp_in_base, after.tcp_in_base)
+        held = held + 1 if _share(commanded, measured) < FELT_SHARE else 0
+        self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, commanded, held)
         if self._held_steps is None:
             self._end()
 
@@ -140,9 +142,9 @@ class FeltTries:
         stroke, self._stroke = self._stroke, None
         assert stroke is not None
         event = stroke.event()
-        share = _share(event.told, event.did)
+        share = _share(event.commanded, event.measured)
         is_free = stroke.start.gripper < EMPTY_HAND and share >= FREE_SHARE
-        is_small = self._held_steps is not None and float(np.linalg.norm(event.told)) < MIN_STROKE
+        is_small = self._held_steps is not None and float(np.linalg.norm(event.commanded)) < MIN_STROKE
         if not (is_free or is_small):
             self._ended = _with(self._ended, event)
 
@@ -159,8 +161,8 @@ class _Stroke:
 
     def event(self) -> FeltEvent:
         start = self.start.tcp_in_base
-        told, did = tool_motion(start, self.command), tool_motion(start, self.reached)
-        return FeltEvent(start, told, did, _share(told, did) < FELT_SHARE)
+        commanded, measured = tool_motion(start, self.command), tool_motion(start, self.reached)
+        return FeltEvent(start, commanded, measured, _share(commanded, measured) < FELT_SHARE)
 
 
 def tool_motion(start: Array, end: Array) -> Array:
@@ -170,9 +172,9 @@ def tool_motion(start: Array, end: Array) -> Array:
     return np.asarray(np.concatenate([shift, turn]) / MOTION_UNITS)
 
 
-def _share(told: Array, did: Array) -> float:
+def _share(commanded: Array, measured: Array) -> float:
     """Returns the share of a commanded motion that was covered."""
-    return float(did @ told) / max(float(told @ told), 1e-12)
+    return float(measured @ commanded) / max(float(commanded @ commanded), 1e-12)
 
 
 def _is_along(one: Array, other: Array) -> bool:

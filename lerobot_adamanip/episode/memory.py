@@ -78,7 +78,7 @@ class Memory:
         """Returns the numbers (96,) of `MEMORY_NAMES`."""
         rows = np.zeros((NUM_TRIES, len(TRY_NAMES)), np.float32)
         for row, event in zip(rows, self.events, strict=False):
-            motions = np.clip([*event.told, *event.did], -MAX_MOTION, MAX_MOTION)
+            motions = np.clip([*event.commanded, *event.measured], -MAX_MOTION, MAX_MOTION)
             times = min(event.times, MAX_TIMES) / MAX_TIMES
             row[:] = [1.0, *pose_vector(event.start, 0.0)[:-1], *motions, event.blocked, times]
         return rows.reshape(-1)
@@ -104,16 +104,16 @@ def described(event: FeltEvent) -> str:
 
 
 def _verb(event: FeltEvent) -> str:
-    """Returns what the hand was told to do.
+    """Returns what the hand was commanded to do.
 
     Right is clockwise about the tool's approach, seen from the hand. Other directions are the robot base's.
     """
-    x, y, forward, _, _, turn = event.told
+    x, y, forward, _, _, turn = event.commanded
     if abs(turn) * MOTION_UNITS[5] > MIN_TURN_RAD and abs(turn) > abs(forward):
         return f"turned {'right' if turn > 0 else 'left'}"
     if abs(forward) >= max(abs(x), abs(y)):
         return "pushed" if forward > 0 else "pulled"
-    along = event.start[:3, :3] @ event.told[:3]
+    along = event.start[:3, :3] @ event.commanded[:3]
     names = (("away", "closer"), ("left", "right"), ("up", "down"))
     axis = int(np.abs(along).argmax())
     return f"moved {names[axis][0 if along[axis] > 0 else 1]}"

@@ -46,7 +46,7 @@ def test_a_blocked_pull_is_felt_with_its_place_command_and_result(hand: Stream) 
     row = dict(zip(TRY_NAMES, hand.memory.numbers(), strict=False))
     assert [row["is_try"], row["blocked"], row["times"]] == [1, 1, 0.25]
     np.testing.assert_allclose([row["x"], row["y"], row["z"]], place, atol=1e-6)
-    np.testing.assert_allclose([row["told_z"], row["did_z"]], [-1.2, -0.12], atol=1e-4)
+    np.testing.assert_allclose([row["commanded_z"], row["measured_z"]], [-1.2, -0.12], atol=1e-4)
     assert hand.memory.sentence() == f"{SO_FAR}pulled: blocked."
 
 
@@ -102,7 +102,7 @@ def test_at_control_rate_one_stroke_is_one_try(dense: Stream) -> None:
     dense.sends(share=1.0)
     (event,) = dense.memory.events
     assert (event.blocked, event.times) == (False, 1)
-    assert event.did[2] < -1.5
+    assert event.measured[2] < -1.5
 
 
 def test_a_hand_that_is_held_back_feels_it_while_it_pushes(dense: Stream) -> None:

@@ -38,7 +38,7 @@ class SensorErrors:
     """Errors of one episode's sensors.
 
     They have a random stream of their own. Those of a picture depend on the seed and the control tick alone: a second
-    picture at the same moment is equal, and how often somebody looks does not matter.
+    picture at the same moment is equal, however often it is observed.
 
     Args:
         sensing: size of the errors.

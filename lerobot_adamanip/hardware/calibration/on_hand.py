@@ -40,7 +40,7 @@ class CameraOnHand:
         assert calibration.depth_in_base is not None
         self._calibration, self._pose = calibration, calibration.depth_in_base
         self.estimate = SelfCalibration(franka_hand(), self._pose[:3, 3])
-        self._told_m = 0.0
+        self._warned_at_m = 0.0
 
     def update(self, depth: NDArray[np.uint16], reading: ArmReading) -> bool:
         """Improves the estimate; returns whether a resting hand is seen. Warns if the camera has moved by 5 mm.
@@ -55,8 +55,8 @@ class CameraOnHand:
         points = points_in_base(depth, self._calibration, stride)
         is_seen = self.estimate.update(points, reading.tcp_in_base, reading.gripper)
         away = self.estimate.moved_by_m
-        if is_seen and self.estimate.frames >= MIN_POSES and away > WARN_M and abs(away - self._told_m) > WARN_M:
-            self._told_m = away
+        if is_seen and self.estimate.frames >= MIN_POSES and away > WARN_M and abs(away - self._warned_at_m) > WARN_M:
+            self._warned_at_m = away
             _log.warning(
                 "Camera %s stands %.0f mm beside its calibration (+- %.0f mm); its clouds are corrected. "
                 "To store it: adamanip calibrate --on-robot --record robot.json --out FILE",
