@@ -38,7 +38,7 @@ FREE_SHARE = 0.8
 MIN_STROKE = 0.1
 """Least size of a stroke's commanded motion in `MOTION_UNITS`."""
 HELD_S = 0.3
-"""Time for which the hand is held back before a try that goes on is felt [s]."""
+"""Time for which the hand is held back before an unfinished try counts as felt [s]."""
 SAME_PLACE_M = 0.05
 """Largest distance between two places that are the same, for tries that are the same."""
 
