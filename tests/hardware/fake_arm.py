@@ -182,7 +182,13 @@ def _towards(start: Array, goal: Array, step: float) -> Array:
 
 def serve_fake(options: FakeOptions, _: Mapping[str, Mailbox]) -> Served:
     backend = FakeBackend(options)
-    return Served(backend, {"inject": backend.inject, RESET: backend.reset, "targets": backend.targets})
+
+    def describe() -> dict[str, Any]:
+        """Gets Ctrl-C at the earliest moment at which a recorder may send it."""
+        os.kill(os.getpid(), signal.SIGINT)
+        return {}
+
+    return Served(backend, {"inject": backend.inject, RESET: backend.reset, "targets": backend.targets}, describe)
 
 
 FAKE = "fake_arm:serve_fake"

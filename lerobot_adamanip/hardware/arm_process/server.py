@@ -73,7 +73,10 @@ PR_SET_PDEATHSIG = 1
 
 
 class ArmServer:
-    """Drives one connected backend for one recorder. `run` returns when the recorder has ended."""
+    """Drives one connected backend for one recorder. `run` returns when the recorder has ended.
+
+    From its construction on, so before the recorder knows of it, this process ignores SIGINT and ends at SIGTERM.
+    """
 
     def __init__(
         self, served: Served, connection: Connection, boxes: Mapping[str, Mailbox], options: ServerOptions
@@ -91,12 +94,12 @@ class ArmServer:
         self._holding = self._lost = False
         self._fault: str | None = None
         self._backlog_s = 0.0
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder also gets it and ends this process cleanly
+        signal.signal(signal.SIGTERM, self._end)
         self._observe()
 
     def run(self) -> None:
         """Ticks until the recorder has ended, then stops the arm and waits for rest. Never raises `RobotError`."""
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the recorder also gets it and ends this process cleanly
-        signal.signal(signal.SIGTERM, self._end)
         due = time.perf_counter()
         while not self._ended:
             due += self._backend.period
