@@ -236,7 +236,7 @@ def measure(device: str, quick: bool) -> dict[str, Any]:
         root = Path(folder) / "demos"
         parts: tuple[Callable[[], dict[str, Any]], ...] = (
             lambda: collect_demonstrations(root, 1 if quick else 2, EnvironmentOptions(CATEGORY, observe_images=False)),
-            lambda: {"dense": dense_rates(Path(folder), 1 if quick else 4, repeats)},
+            lambda: {"dense": dense_rates(Path(folder), 1 if quick else 25, repeats)},
             lambda: {"steps_per_second": steps_per_second(3 * repeats)},
             lambda: {"observation_ms": {source: observation_ms(source, 3 * repeats) for source in CLOUD_SOURCES}},
             lambda: {"image_ms": image_ms(9 * repeats)},

@@ -172,9 +172,10 @@ class DenseRecorder:
         return columns | {key: np.array(values, dtypes[key])[:, None] for key, values in labels.items()}
 
     def _tries(self) -> dict[str, list[Any]]:
-        """Returns the columns that label tries."""
-        labels = [step.labels for step in self.steps] + [KeyFrameLabels()]
+        """Returns the columns that label tries. A try that starts after the success is in no record and has no label."""
         sequence = self.env.episode_record()["try_sequence"]
+        labels = [step.labels if step.labels.number < len(sequence) else KeyFrameLabels() for step in self.steps]
+        labels.append(KeyFrameLabels())
         failed = [each.number >= 0 and bool(sequence[each.number][2]) for each in labels]
         ends = {each.number: row for row, each in enumerate(labels)}
         counted = sorted(row for number, row in ends.items() if number >= 0 and sequence[number][2])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, cast
 
 import demos_fake_env
@@ -22,7 +23,7 @@ from lerobot_adamanip.collection.render import add_pictures
 from lerobot_adamanip.collection.replay import replay
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import ACTION_NAMES
-from lerobot_adamanip.contract.keyframes import Goal, Phase
+from lerobot_adamanip.contract.keyframes import Goal, KeyFrameLabels, Phase
 from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.datasets.cards import collect_command
 from lerobot_adamanip.datasets.check.dataset import check
@@ -32,7 +33,7 @@ from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.datasets.view import read_episode
-from lerobot_adamanip.episode.dense import dense_rollout
+from lerobot_adamanip.episode.dense import DenseRecorder, DenseStep, dense_rollout
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import open_mp4
@@ -194,6 +195,18 @@ def test_key_frames_are_the_experts(images: bool, tmp_path: Path) -> None:
         failed = [bool(fails) for _, _, fails in frames.descriptions()[number].episode_record["try_sequence"]]
         assert rows[schema.FAILED].sum() == sum(failed) == rows[schema.TRIAL][-1]
     assert read_stats(tmp_path / "frames").lengths == read_stats(tmp_path / "dense").lengths
+
+
+def test_a_try_that_starts_after_the_success_has_no_label() -> None:
+    """The episode's record ends with the success, and the expert goes on: it may touch another joint."""
+    tries = [[1, 1, True], [0, 1, False]]
+    env = SimpleNamespace(joints=lambda: np.zeros(2), episode_record=lambda: {"try_sequence": tries})
+    labels = [KeyFrameLabels(joint, number=number) for number, joint in enumerate((1, 0, 1))]
+    goal = Goal(np.eye(4), 0.0, Phase.TRY)
+    steps = [DenseStep({}, np.zeros(7), goal, None, {}, each.number > 0, each) for each in labels]
+    columns = DenseRecorder(cast(Any, env), steps)._tries()
+    assert columns[schema.TRIED] == [1, 0, -1, -1]
+    assert columns[schema.FAILED] == [True, False, False, False]
 
 
 def test_key_frames_need_clouds_effort_and_the_full_state(whole: Path, tmp_path: Path) -> None:
