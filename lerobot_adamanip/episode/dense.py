@@ -172,7 +172,7 @@ class DenseRecorder:
         return columns | {key: np.array(values, dtypes[key])[:, None] for key, values in labels.items()}
 
     def _tries(self) -> dict[str, list[Any]]:
-        """Returns the columns that label tries. A try that starts after the success is in no record and has no label."""
+        """Returns the columns that label tries. One that starts after the success is in no record and has no label."""
         sequence = self.env.episode_record()["try_sequence"]
         labels = [step.labels if step.labels.number < len(sequence) else KeyFrameLabels() for step in self.steps]
         labels.append(KeyFrameLabels())

@@ -203,7 +203,7 @@ def test_a_try_that_starts_after_the_success_has_no_label() -> None:
     env = SimpleNamespace(joints=lambda: np.zeros(2), episode_record=lambda: {"try_sequence": tries})
     labels = [KeyFrameLabels(joint, number=number) for number, joint in enumerate((1, 0, 1))]
     goal = Goal(np.eye(4), 0.0, Phase.TRY)
-    steps = [DenseStep({}, np.zeros(7), goal, None, {}, each.number > 0, each) for each in labels]
+    steps = [DenseStep({}, np.zeros(7, np.float32), goal, None, {}, each.number > 0, each) for each in labels]
     columns = DenseRecorder(cast(Any, env), steps)._tries()
     assert columns[schema.TRIED] == [1, 0, -1, -1]
     assert columns[schema.FAILED] == [True, False, False, False]
