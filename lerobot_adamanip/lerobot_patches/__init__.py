@@ -1,6 +1,6 @@
-"""All patches of LeRobot, one per file: three for recordings of our robots, one for training speed.
+"""All patches of LeRobot, one per file: four for our robots, one for training speed.
 
-Creating one of our robots applies the three in `PATCHES`. Our policies apply `batched_reading` to their training
+Creating one of our robots applies the four in `PATCHES`. Our policies apply `batched_reading` to their training
 dataset. Importing this package or the plugin changes nothing, and the import order does not matter. A patch changes
 only loaded modules of LeRobot. It tests the code it changes. If LeRobot differs, it logs one line and stays off. The
 variable `NO_PATCHES` turns all patches off.
@@ -20,6 +20,10 @@ PATCHES = {
     "ordered_depth": (
         "lerobot.datasets.lerobot_dataset",
         "A recording session with depth may end with an error at an episode of one or two frames.",
+    ),
+    "rollout_memory": (
+        "lerobot.rollout.context",
+        "A policy that was trained with --memory events fails on a robot at its first observation.",
     ),
     "episode_signals": (
         "lerobot.scripts.lerobot_record",
@@ -60,6 +64,8 @@ def _apply(name: str) -> None:
         from lerobot_adamanip.lerobot_patches.durable_recording import apply as patch
     elif name == "ordered_depth":
         from lerobot_adamanip.lerobot_patches.ordered_depth import apply as patch
+    elif name == "rollout_memory":
+        from lerobot_adamanip.lerobot_patches.rollout_memory import apply as patch
     else:
         from lerobot_adamanip.lerobot_patches.episode_signals import apply as patch
     patch()

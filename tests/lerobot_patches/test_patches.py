@@ -1,4 +1,4 @@
-"""The three patches of LeRobot: on where a robot of ours is created, in any order of imports, and off with one line."""
+"""The four patches of LeRobot: on where a robot of ours is created, in any order of imports, and off with one line."""
 
 from __future__ import annotations
 
@@ -17,11 +17,14 @@ from lerobot.datasets import lerobot_dataset
 from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.video_utils import StreamingVideoEncoder
+from lerobot.rollout import context
 from lerobot.scripts import lerobot_record
+from lerobot.utils.feature_utils import build_dataset_frame
 
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import POSE, STATES
+from lerobot_adamanip.contract.memory import MEMORY, MEMORY_NAMES, memory_feature
 from lerobot_adamanip.hardware.features import recorded_features
 from lerobot_adamanip.lerobot_patches import NO_PATCHES, PATCHES, support
 
@@ -68,6 +71,8 @@ def stock() -> dict[str, Any]:
         "resume": vars(lerobot_dataset.LeRobotDataset)["resume"],
         "comparison": lerobot_record.sanity_check_dataset_robot_compatibility,
         "loop": lerobot_record.record_loop,
+        "observations": context.hw_to_dataset_features,
+        "rollout": context.combine_feature_dicts,
     }
 
 
@@ -151,6 +156,7 @@ UNFIT = [
     ("durable_recording", (LeRobotDatasetMetadata, "_close_writer", None)),
     ("durable_recording", (DatasetWriter, "close_writer", lambda self: None)),  # files stay open
     ("ordered_depth", (StreamingVideoEncoder, "__init__", lambda self, depth_encoder: None)),
+    ("rollout_memory", (context, "build_rollout_context", lambda cfg: None)),  # makes no features
     ("episode_signals", (lerobot_record, "record_loop", lambda session: None)),
     ("episode_signals", (lerobot_record, "record", lambda cfg: None)),  # has no loop
 ]
@@ -171,6 +177,21 @@ def test_a_patch_that_does_not_fit_is_off_alone_with_one_line(
     assert lerobot_patches._on == set(PATCHES) - {off}
     assert (stock()["loop"] is before["loop"]) == (off == "episode_signals")
     assert (stock()["resume"] is before["resume"]) == (off == "durable_recording")
+    assert (stock()["rollout"] is before["rollout"]) == (off == "rollout_memory")
+
+
+def test_a_rollout_gives_the_memory_in_a_column_of_its_own() -> None:
+    """As the environments do. LeRobot puts all numbers of a robot into the state."""
+    offered = dict.fromkeys((*STATES[POSE], *MEMORY_NAMES), float)
+    together = context.hw_to_dataset_features(offered, "observation")
+    lerobot_patches.apply()
+    for features in (context.hw_to_dataset_features(offered, "observation"), context.combine_feature_dicts(together)):
+        assert features[schema.STATE]["names"] == list(STATES[POSE])
+        assert features[MEMORY] == memory_feature()
+    frame = build_dataset_frame(
+        features, dict.fromkeys(MEMORY_NAMES, 1.0) | dict.fromkeys(STATES[POSE], 0.0), "observation"
+    )
+    assert (frame[schema.STATE].tolist(), frame[MEMORY].tolist()) == ([0.0] * 8, [1.0] * len(MEMORY_NAMES))
 
 
 def test_depth_is_in_order_though_recordings_are_not_durable(

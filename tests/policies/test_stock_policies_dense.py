@@ -136,6 +136,13 @@ def test_a_policy_of_simulated_data_drives_the_twin_without_another_option(folde
     assert json.loads(line)["object_id"].startswith("bottle")
 
 
+def test_a_policy_with_a_memory_drives_the_twin(folder: Path) -> None:
+    checkpoint = train(folder, "felt_act")
+    command = documented("lerobot-rollout", "outputs/bottles_act", "docs/twin.md")
+    options = (f"--policy.path={checkpoint}", "--policy.device=cpu", "--duration=2", "--robot.memory=events")
+    assert "The rollout runs at 10 Hz" in run(command, folder, *options)
+
+
 @pytest.mark.parametrize("name", ["felt_act", "felt_diffusion"])
 def test_stock_policies_train_with_a_memory_and_are_evaluated_with_it_alone(folder: Path, name: str) -> None:
     checkpoint = train(folder, name)
