@@ -16,6 +16,8 @@ from lerobot_adamanip.benchmark.paper_rates import SUCCESS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
+from lerobot_adamanip.contract.memory import MEMORIES, NO_MEMORY
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.collection_spec import LIMITS
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, IMAGE_SIZES, POSES
 from lerobot_adamanip.evaluation.results import NAME
@@ -57,14 +59,15 @@ _POLICY_OPTIONS = listing(text(rf"{_ALLOWED}policy\.[a-z][\w.]*{_VALUE}", "an op
 class Demonstrations:
     """A set of demonstrations of each category; fields as in `lerobot_adamanip.cli.collect.Collect`.
 
-    All but the expert's fields apply to evaluations too; ``image_size`` is 0 for no images. ``action``, ``state`` and
-    ``cloud`` are of dense control at 10 Hz.
+    All but the expert's fields and ``mistakes`` apply to evaluations too; ``image_size`` is 0 for no images.
+    ``action``, ``state`` and ``cloud`` are of dense control at 10 Hz.
     """
 
     expert: Annotated[str, choice(EXPERT_KINDS)] = "adaptive"
     expert_strategy: Annotated[str, choice(EXPERT_STRATEGIES)] = EXPERT_STRATEGIES[0]
     trials: Annotated[int, integer(*LIMITS["trials"])] = 1
     late_starts: Annotated[float, number(0, 1)] = DEFAULT_LATE_STARTS
+    mistakes: Annotated[float, number(0, 0.99)] = 0.0
     num_points: Annotated[int, integer(1, 16_384)] = schema.DEFAULT_NUM_POINTS
     image_size: Annotated[int, integer(0, IMAGE_SIZES[1])] = 0
     poses: Annotated[str, choice(POSES)] = POSES[0]
@@ -73,6 +76,8 @@ class Demonstrations:
     action: Annotated[str, choice(tuple(ACTION_NAMES))] = EE_DELTA
     state: Annotated[str, choice(tuple(STATES))] = POSE
     cloud: Annotated[bool, flag] = False
+    memory: Annotated[str, choice(MEMORIES)] = NO_MEMORY
+    sensing: Annotated[str, text(r"[\w.,=]{1,200}", "a level or parts, as of `--env.sensing`")] = EXACT
 
     @property
     def is_dense(self) -> bool:

@@ -257,7 +257,8 @@ def _learning(
 def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
     expert = (f"--expert={data.expert}", *_expert_options(data))
     trials = (f"--trials={data.trials}",) if data.expert == "adaptive" else ()  # others would have unequal keys
-    how = (*expert, *trials, f"--late-starts={data.late_starts:g}")
+    mistakes = (f"--mistakes={data.mistakes:g}",) if data.mistakes else ()
+    how = (*expert, *trials, f"--late-starts={data.late_starts:g}", *mistakes)
     shared_by = 1 if scale.demonstrations_per_object else _objects(cell, scale)
     per_object = math.ceil(scale.demonstrations / shared_by)
     return _recording(COLLECT, cell, data, scale, versions, per_object=per_object, how=how)
@@ -304,6 +305,7 @@ def _recording(
         f"--mechanism-rules={data.mechanism_rules}",
         *(_dense_options(data, "--") if data.is_dense else ()),
         *(("--cloud",) if data.is_dense and data.cloud else ()),
+        *_observed(data, "--"),
         *((f"--hints={scale.hints:g}",) if scale.hints else ()),
         _COLLECTED,
     )
@@ -314,6 +316,12 @@ def _recording(
 
 def _dense_options(data: Demonstrations, prefix: str) -> tuple[str, ...]:
     return tuple(f"{prefix}{name}={getattr(data, name)}" for name in ("control", "action", "state"))
+
+
+def _observed(data: Demonstrations, prefix: str) -> tuple[str, ...]:
+    """Returns options of observations, if they are not the default, so that keys of former results hold."""
+    names = [name for name in ("memory", "sensing") if getattr(data, name) != getattr(Demonstrations(), name)]
+    return tuple(f"{prefix}{name}={getattr(data, name)}" for name in names)
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:
@@ -372,6 +380,7 @@ def _evaluation(
         f"--env.num_points={like.num_points}",
         *pictures,
         *dense,
+        *_observed(like, "--env."),
         f"--env.poses={like.poses}",
         f"--env.mechanism_rules={like.mechanism_rules}",
         *((f"--env.hints={scale.hints:g}",) if scale.hints else ()),

@@ -366,3 +366,17 @@ def test_a_dense_set_of_demonstrations_has_dense_tests_with_the_same_rows() -> N
     assert "--cloud" in recorded
     assert option(tested, "--env.observe_cloud") == "true"
     assert not any("control" in word for word in steps()[COLLECT].command)
+
+
+def test_memory_and_sensing_are_of_demonstrations_and_tests_and_mistakes_of_demonstrations_alone() -> None:
+    chain = steps(
+        declared(demonstrations={"adaptive": {"memory": "events", "sensing": "d435", "mistakes": 0.2}, "static": {}})
+    )
+    recorded, tested = chain["collect"].command, chain["evaluate"].command
+    assert [option(recorded, f"--{name}") for name in ("memory", "sensing", "mistakes")] == ["events", "d435", "0.2"]
+    assert [option(tested, f"--env.{name}") for name in ("memory", "sensing")] == ["events", "d435"]
+    assert not any("mistakes" in word for word in tested)
+    plain = steps(declared(demonstrations={"adaptive": {}, "static": {}}))
+    assert not any(
+        name in word for step in plain.values() for word in step.command for name in ("memory", "sensing", "mistakes")
+    )
