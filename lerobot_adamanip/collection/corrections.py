@@ -18,13 +18,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.control import EE_DELTA
-from lerobot_adamanip.contract.keyframes import Goal, KeyFrameLabels, KeyFrames, Outcome
+from lerobot_adamanip.collection.tries_so_far import DenseTries, KeyFrameTries, TriesSoFar, followed
+from lerobot_adamanip.contract.keyframes import Goal, KeyFrames
 from lerobot_adamanip.contract.observation import Observation
-from lerobot_adamanip.episode.dense import GRIPPER_MOVES, DenseEnvironment, DenseStep, KeyFrameMotion
+from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRun, DenseStep
 from lerobot_adamanip.episode.options import TIME_LIMIT
-from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, RolloutResult
-from lerobot_adamanip.experts import Belief
+from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, KeyFrameRun, RolloutResult, Run, result_of
 
 Action = NDArray[np.float32]
 BEYOND = 1
@@ -89,31 +88,20 @@ def corrected_rollout(
         correcting: policy and expert.
         on_key_frame: called with every key frame.
     """
-    actor, rng = correcting.actor, correcting.generator
-    actor.reset(correcting.seed)
-    belief, success, key_frames, beyond, reason = Belief(), False, 0, 0, TIME_LIMIT
-    while key_frames < env.max_key_frames and beyond < BEYOND:
-        frames = correcting.take_over(belief=belief, generator=rng)
-        goal = next(frames, None)
-        frames.close()
-        if goal is None:
-            reason = "the expert had nothing left to do"
-            break
-        sent = actor.act(observation, env.task_description)
-        if rng.random() < correcting.expert_share:
+    run, tries, actor = (
+        KeyFrameRun(env, observation, on_key_frame, past_success=True),
+        KeyFrameTries(env),
+        correcting.actor,
+    )
+
+    def drive(goal: Goal) -> None:
+        sent = actor.act(run.observation, env.task_description)
+        if correcting.generator.random() < correcting.expert_share:
             sent = goal.action()
             actor.executed(sent)
-        before = env.part_positions()
-        following, _, _, truncated, info = env.step(sent)
-        key_frames, beyond = key_frames + 1, beyond + success
-        success = success or bool(info["is_success"])
-        on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels, sent))
-        belief = belief.after(env.labels, env.joint_names, before, env.part_positions(), stalled=env.feedback.failed)
-        observation = following
-        if truncated:
-            reason = info.get("limit", TIME_LIMIT)
-            break
-    return RolloutResult(success, key_frames, "success" if success else reason)
+        tries.end(run.drive(goal, sent).outcome)
+
+    return _corrected(run, tries, correcting, drive)
 
 
 def dense_corrected_rollout(
@@ -122,90 +110,42 @@ def dense_corrected_rollout(
     correcting: Correcting,
     on_step: Callable[[DenseStep], None],
 ) -> RolloutResult:
-    """As `corrected_rollout`, at control rate: one segment after the other, driven by the policy or by the expert."""
-    run = _DenseCorrections(env, observation, correcting, on_step)
+    """As `corrected_rollout`, at control rate: one segment after the other, driven by the policy or by the expert.
+
+    A segment is a key frame, of `LONGEST_SEGMENT` at most if the policy drives.
+    """
+    tries, actor = DenseTries(env), correcting.actor
+    run = DenseRun(env, observation, followed(tries, on_step), past_success=True)
+
+    def acted(label: Action) -> Action:
+        return actor.act(run.observation, env.task_description)
+
+    def taught(label: Action) -> Action:
+        acted(label)
+        actor.executed(label)
+        return label
+
+    def drive(goal: Goal) -> None:
+        is_expert = correcting.generator.random() < correcting.expert_share
+        most = None if is_expert else round(LONGEST_SEGMENT * env.options.fps)
+        felt = run.follow(goal, taught if is_expert else acted, most_steps=most)
+        if felt is not None:
+            tries.end(felt)
+
+    return _corrected(run, tries, correcting, drive)
+
+
+def _corrected(run: Run, tries: TriesSoFar, correcting: Correcting, drive: Callable[[Goal], None]) -> RolloutResult:
+    """Plans a goal in each state, and drives towards it, until shortly after success."""
     correcting.actor.reset(correcting.seed)
-    segments, beyond, reason = 0, 0, TIME_LIMIT
+    beyond, reason = 0, TIME_LIMIT
     while not run.has_ended and beyond < BEYOND:
-        frames = correcting.take_over(belief=run.tries.belief, generator=correcting.generator)
+        frames = correcting.take_over(belief=tries.belief, generator=correcting.generator)
         goal = next(frames, None)
         frames.close()
         if goal is None:
             reason = "the expert had nothing left to do"
             break
-        segments, beyond = segments + 1, beyond + run.success
-        run.drive(goal, is_expert=correcting.generator.random() < correcting.expert_share)
-    return RolloutResult(run.success, segments, "success" if run.success else run.limit or reason)
-
-
-class _DenseCorrections:
-    """Runs the segments of an episode.
-
-    Attributes:
-        tries: what has been tried so far.
-        success: whether the task is done.
-        has_ended: whether a limit has ended the episode; ``limit`` is its name.
-    """
-
-    def __init__(
-        self,
-        env: DenseEnvironment,
-        observation: Observation,
-        correcting: Correcting,
-        on_step: Callable[[DenseStep], None],
-    ) -> None:
-        self._env, self._observation, self._actor, self._on_step = env, observation, correcting.actor, on_step
-        self._opening, self._outcome = 1.0, None  # type: tuple[float, Outcome | None]
-        self.tries = _TriesSoFar(env)
-        self.success, self.has_ended, self.limit = False, False, ""
-
-    def drive(self, goal: Goal, *, is_expert: bool) -> None:
-        """Drives a segment: until its key frame has ended, or for `LONGEST_SEGMENT` if the policy drives."""
-        env, moves_gripper = self._env, abs(goal.gripper - self._opening) > GRIPPER_MOVES
-        is_strained = self._outcome is Outcome.STALLED
-        motion = KeyFrameMotion(env, goal, moves_gripper=moves_gripper, strained=is_strained)
-        left = round(LONGEST_SEGMENT * env.options.fps)
-        self._outcome = None
-        while self._outcome is None and not self.has_ended:
-            label, sent = motion.action(), self._actor.act(self._observation, env.task_description)
-            if is_expert:
-                sent = label
-                self._actor.executed(sent)
-            following, _, _, self.has_ended, info = env.step(sent)
-            left -= 1
-            self.success = self.success or bool(info["is_success"])
-            if self.has_ended:
-                self.limit = info.get("limit", TIME_LIMIT)
-            is_cut = left <= 0 and not is_expert
-            felt = motion.outcome()
-            self._outcome = Outcome.TIMEOUT if felt is None and is_cut else felt
-            self.tries.after_step(stalled=env.is_blocked)
-            self._on_step(
-                DenseStep(self._observation, label, goal, self._outcome, following, self.success, env.labels, sent)
-            )
-            self._observation = following
-            self._opening = float(0.5 * (sent[-1] + 1.0) if env.options.action == EE_DELTA else sent[-1])
-        if felt is not None:
-            self.tries.end(stalled=felt is Outcome.STALLED)
-
-
-class _TriesSoFar:
-    """Follows the tries of an episode at control rate: one is felt when it ends, or when a key frame ends in it."""
-
-    def __init__(self, env: DenseEnvironment) -> None:
-        self._env, self.belief = env, Belief()
-        self._labels, self._before, self._latest = KeyFrameLabels(), env.part_positions(), env.part_positions()
-
-    def after_step(self, *, stalled: bool) -> None:
-        """Follows a step."""
-        labels = self._env.labels
-        if labels.number != self._labels.number:
-            self.end(stalled=stalled)
-            self._before = self._latest
-        self._labels, self._latest = labels, self._env.part_positions()
-
-    def end(self, *, stalled: bool) -> None:
-        """Adds the present try to the belief, if there is one."""
-        known = self._env.joint_names, self._before, self._latest
-        self.belief = self.belief.after(self._labels, *known, stalled=stalled)
-        self._labels = KeyFrameLabels()
+        beyond += run.success
+        drive(goal)
+    return result_of(run, reason)

@@ -16,12 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from lerobot_adamanip.collection.tries_so_far import TriesSoFar
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND, Feedback, Goal, KeyFrameLabels, KeyFrames, Phase
-from lerobot_adamanip.contract.observation import Observation
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, straight_path, transform
-from lerobot_adamanip.episode.options import TIME_LIMIT
-from lerobot_adamanip.episode.rollout import KeyFrame, KeyframeEnvironment, RolloutResult, next_goal
-from lerobot_adamanip.experts import Belief
+from lerobot_adamanip.episode.rollout import RolloutResult, Run, next_goal, result_of
 
 Array = NDArray[np.float64]
 Action = NDArray[np.float32]
@@ -92,42 +90,30 @@ class MistakenExpert:
     generator: np.random.Generator
 
 
-def mistaken_rollout(
-    env: KeyframeEnvironment,
-    observation: Observation,
-    driver: MistakenExpert,
-    on_key_frame: Callable[[KeyFrame], None],
-) -> RolloutResult:
-    """Runs an expert with mistakes on a freshly reset environment, until it ends. It makes none after success.
+def mistaken_rollout(run: Run, tries: TriesSoFar, driver: MistakenExpert) -> RolloutResult:
+    """Runs an expert with mistakes in a freshly reset environment, until it ends. It makes none after success.
 
     Args:
-        env: environment after a reset.
-        observation: observation from the reset.
+        run: by key frames or at control rate; it continues after success.
+        tries: of the environment.
         driver: the expert and its mistakes.
-        on_key_frame: called with every key frame.
     """
-    expert, belief, success, key_frames = driver.expert, Belief(), False, 0
-    goal, has_taken_over, reason = next(expert, None), False, "the expert ended without success"
-    while goal is not None and key_frames < env.max_key_frames:
-        hand, parts = env.feedback, env.part_positions()
-        sent = None if success else driver.mistakes.draw(goal, hand)
-        following, _, _, truncated, info = env.step(goal.action() if sent is None else sent)
-        key_frames, success = key_frames + 1, success or bool(info["is_success"])
-        on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels, sent))
-        if truncated:
-            reason = info.get("limit", TIME_LIMIT)
+    expert, has_taken_over = driver.expert, False
+    goal = next(expert, None)
+    while goal is not None and not run.has_ended:
+        hand = run.feedback
+        sent = None if run.success else driver.mistakes.draw(goal, hand)
+        feedback = run.drive(goal, sent)
+        if run.has_ended:
             break
-        belief = belief.after(env.labels, env.joint_names, parts, env.part_positions(), stalled=env.feedback.failed)
-        observation = following
-        driver.mistakes.after(hand.tcp_in_base, goal.tcp_in_base if sent is None else sent, env.labels)
+        tries.end(feedback.outcome)
+        driver.mistakes.after(hand.tcp_in_base, goal.tcp_in_base if sent is None else sent, tries.latest)
         has_taken_over |= sent is not None
-        goal = next_goal(expert, env.feedback) if sent is None else None
+        goal = next_goal(expert, feedback) if sent is None else None
         # After success an expert that takes over anew might never find that it has nothing left to do.
-        if sent is not None or (goal is None and has_taken_over and not success):
+        if sent is not None or (goal is None and has_taken_over and not run.success):
             expert.close()
-            expert = driver.take_over(belief=belief, generator=driver.generator)
+            expert = driver.take_over(belief=tries.belief, generator=driver.generator)
             goal = next(expert, None)
-    if goal is not None and not success:
-        reason = TIME_LIMIT if key_frames >= env.max_key_frames else reason
     expert.close()
-    return RolloutResult(success, key_frames, "success" if success else reason)
+    return result_of(run, "the expert ended without success")

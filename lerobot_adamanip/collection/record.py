@@ -26,6 +26,7 @@ from lerobot_adamanip.collection.corrections import (
 )
 from lerobot_adamanip.collection.late_starts import draw_start, start_late
 from lerobot_adamanip.collection.mistakes import MistakenExpert, Mistakes, mistaken_rollout
+from lerobot_adamanip.collection.tries_so_far import DenseTries, KeyFrameTries, followed
 from lerobot_adamanip.contract.keyframes import KeyFrames
 from lerobot_adamanip.contract.schema import ACTION_DIM
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
@@ -34,10 +35,17 @@ from lerobot_adamanip.datasets.collection_spec import CollectionPaths, Collectio
 from lerobot_adamanip.datasets.episode import EpisodeDescription, start_column
 from lerobot_adamanip.datasets.manifest import differing_parts
 from lerobot_adamanip.datasets.shards import RecordedEpisode, shard_bytes, write_shard_bytes
-from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRecorder, DenseStep, dense_rollout
+from lerobot_adamanip.episode.dense import DenseEnvironment, DenseRecorder, DenseRun, DenseStep, dense_rollout
 from lerobot_adamanip.episode.memory import with_row_tasks
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, SimulatedEnvironment, rollout
+from lerobot_adamanip.episode.rollout import (
+    EpisodeRecorder,
+    KeyFrame,
+    KeyFrameRun,
+    Run,
+    SimulatedEnvironment,
+    rollout,
+)
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError, UnreachableError
 from lerobot_adamanip.util.jobs import Heartbeat
@@ -268,16 +276,22 @@ def attempt_episode(
     if actor is not None:
         rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
         correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
-        run: Any = corrected_rollout if dense is None else dense_corrected_rollout
-        result = run(env, observation, correcting, record)
-    elif dense is not None:
-        result = dense_rollout(dense, observation, expert(late=late), record, past_success=True)
+        corrected: Any = corrected_rollout if dense is None else dense_corrected_rollout
+        result = corrected(env, observation, correcting, record)
     elif spec.mistakes > 0:
         rng = episode_generator(request.seed, Stream.MISTAKE, category_of(request.object_id))
         take_over, mistakes = functools.partial(expert, late=True), Mistakes(spec.mistakes, rng)
-        result = mistaken_rollout(env, observation, MistakenExpert(expert(late=late), take_over, mistakes, rng), record)
+        driver = MistakenExpert(expert(late=late), take_over, mistakes, rng)
+        if dense is None:
+            run: Run = KeyFrameRun(env, observation, record, past_success=True)
+            result = mistaken_rollout(run, KeyFrameTries(env), driver)
+        else:
+            tries = DenseTries(dense)
+            run = DenseRun(dense, observation, followed(tries, record), past_success=True)
+            result = mistaken_rollout(run, tries, driver)
     else:
-        result = rollout(env, observation, expert(late=late), record, past_success=True)
+        play_out: Any = rollout if dense is None else dense_rollout
+        result = play_out(env, observation, expert(late=late), record, past_success=True)
     episode_record = env.episode_record()
     is_kept = result.success or actor is not None
     description = EpisodeDescription(

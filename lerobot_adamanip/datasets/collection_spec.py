@@ -108,8 +108,8 @@ class CollectionSpec:
         alone = bool(self.policy) or self.expert_share == 1
         _require(alone, "expert_share", self.expert_share, "1 without a policy")
         _require(0 <= self.mistakes < 1, "mistakes", self.mistakes, "a share, 0 up to below 1", 0.2)
-        alone = not self.mistakes or not (self.policy or self.environment.is_dense or self.expert == "static")
-        _require(alone, "mistakes", self.mistakes, "0, or the adaptive expert's key frames without a policy", 0)
+        alone = not self.mistakes or not (self.policy or self.expert == "static")
+        _require(alone, "mistakes", self.mistakes, "0, or the adaptive expert without a policy", 0)
         _require(not (self.policy and self.expert == "static"), "expert", "static", "adaptive: it takes over")
         different = len(set(self.objects)) == len(self.objects)
         _require(0 < len(self.objects) <= MAX_OBJECTS and different, "objects", listed(self.objects), "ids, each once")

@@ -11,11 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import Goal, KeyFrameLabels, KeyFrames, MotionLimits, Outcome
+from lerobot_adamanip.contract.control import EE_DELTA
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, KeyFrames, MotionLimits, Outcome
 from lerobot_adamanip.contract.observation import Observation, observation_columns
-from lerobot_adamanip.contract.rotations import angle_between, quintic_duration, straight_path
+from lerobot_adamanip.contract.rotations import angle_between, pose_from_vector, quintic_duration, straight_path
 from lerobot_adamanip.episode.options import TIME_LIMIT
-from lerobot_adamanip.episode.rollout import RolloutResult, SimulatedEnvironment, next_goal
+from lerobot_adamanip.episode.rollout import RolloutResult, SimulatedEnvironment, play
 
 Array = NDArray[np.float64]
 
@@ -77,6 +78,86 @@ class DenseStep:
     executed: NDArray[np.float32] | None = None
 
 
+class DenseRun:
+    """Implements `lerobot_adamanip.episode.rollout.Run` at control rate, in a freshly reset environment.
+
+    Args:
+        env: reset; ``observation`` is what its reset returned.
+        observation: the first one.
+        on_step: called with every step.
+        past_success: whether the run continues after success.
+    """
+
+    def __init__(
+        self,
+        env: DenseEnvironment,
+        observation: Observation,
+        on_step: Callable[[DenseStep], None] | None = None,
+        *,
+        past_success: bool = False,
+    ) -> None:
+        self._env, self.observation, self._on_step, self._past = env, observation, on_step, past_success
+        self._opening, self._outcome = 1.0, None  # type: tuple[float, Outcome | None]
+        self.success, self.has_ended, self.limit, self.key_frames = False, False, "", 0
+
+    @property
+    def feedback(self) -> Feedback:
+        """Feedback of the latest key frame."""
+        return replace(self._env.feedback, outcome=self._outcome)
+
+    def drive(self, goal: Goal, sent: NDArray[np.float32] | None = None) -> Feedback:
+        """Drives the path of a key frame. In place of a path to ``sent``, rows still have the path to the goal."""
+        if sent is None:
+            self.follow(goal)
+        else:
+            other = self._motion(Goal(*pose_from_vector(sent), goal.phase))
+            self.follow(goal, lambda _: other.action(), other)
+        return self.feedback
+
+    def follow(
+        self,
+        goal: Goal,
+        sends: Callable[[NDArray[np.float32]], NDArray[np.float32]] | None = None,
+        driven: KeyFrameMotion | None = None,
+        most_steps: int | None = None,
+    ) -> Outcome | None:
+        """Follows the path to a goal until its key frame ends, the run ends, or for ``most_steps``.
+
+        Args:
+            goal: of the key frame, whose path labels the steps.
+            sends: returns the action that is sent in place of a label (A,); None sends the labels.
+            driven: path that decides the end of the key frame; None for the goal's.
+            most_steps: None for no limit. The step that it ends counts as one that ran out of time.
+
+        Returns:
+            how the path ended; None if it did not.
+        """
+        env, labelled, steps = self._env, self._motion(goal), 0
+        self._outcome, self.key_frames = None, self.key_frames + 1
+        felt: Outcome | None = None
+        while self._outcome is None and not self.has_ended:
+            label = labelled.action()
+            sent = label if sends is None else sends(label)
+            following, _, terminated, truncated, info = env.step(sent)
+            felt, steps = (driven or labelled).outcome(), steps + 1
+            self._outcome = Outcome.TIMEOUT if felt is None and steps == most_steps else felt
+            self.success = self.success or bool(info["is_success"])
+            self.has_ended = truncated or (terminated and not self._past)
+            self.limit = info.get("limit", TIME_LIMIT) if self.has_ended else ""
+            if self._on_step is not None:
+                executed = None if sends is None else sent
+                now = following, self.success, env.labels
+                self._on_step(DenseStep(self.observation, label, goal, self._outcome, *now, executed))
+            self.observation = following
+            self._opening = float(0.5 * (sent[-1] + 1.0) if env.options.action == EE_DELTA else sent[-1])
+        return felt
+
+    def _motion(self, goal: Goal) -> KeyFrameMotion:
+        moves_gripper = abs(goal.gripper - self._opening) > GRIPPER_MOVES
+        is_strained = self._outcome is Outcome.STALLED
+        return KeyFrameMotion(self._env, goal, moves_gripper=moves_gripper, strained=is_strained)
+
+
 def dense_rollout(
     env: DenseEnvironment,
     observation: Observation,
@@ -85,38 +166,8 @@ def dense_rollout(
     *,
     past_success: bool = False,
 ) -> RolloutResult:
-    """Runs an expert at control rate, as `rollout` does by key frames, in a freshly reset environment.
-
-    Args:
-        env: reset; ``observation`` is what its reset returned.
-        observation: the first one.
-        expert: not yet primed; closed at the end.
-        on_step: called with every step.
-        past_success: continue after success until the expert ends.
-    """
-    success, ended, reason, key_frames = False, False, "the expert ended without success", 0
-    opening, outcome = 1.0, None
-    try:
-        goal = next(expert, None)
-        while goal is not None and not ended:
-            moves_gripper = abs(goal.gripper - opening) > GRIPPER_MOVES
-            motion = KeyFrameMotion(env, goal, moves_gripper=moves_gripper, strained=outcome is Outcome.STALLED)
-            opening, outcome, key_frames = goal.gripper, None, key_frames + 1
-            while outcome is None and not ended:
-                action = motion.action()
-                following, _, terminated, truncated, info = env.step(action)
-                outcome = motion.outcome()
-                success = success or bool(info["is_success"])
-                ended = truncated or (terminated and not past_success)
-                if ended and not success:
-                    reason = info.get("limit", TIME_LIMIT)
-                if on_step is not None:
-                    on_step(DenseStep(observation, action, goal, outcome, following, success, env.labels))
-                observation = following
-            goal = None if outcome is None else next_goal(expert, replace(env.feedback, outcome=outcome))
-    finally:
-        expert.close()
-    return RolloutResult(success, key_frames, "success" if success else reason)
+    """Runs an expert at control rate, as `rollout` does by key frames; ``on_step`` is called with every step."""
+    return play(DenseRun(env, observation, on_step, past_success=past_success), expert)
 
 
 @dataclass

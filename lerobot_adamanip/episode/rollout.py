@@ -122,6 +122,88 @@ class RolloutResult:
     reason: str
 
 
+class Run(Protocol):
+    """An episode that goals drive: `KeyFrameRun`, or `lerobot_adamanip.episode.dense.DenseRun` at control rate.
+
+    Attributes:
+        success: whether the task is done by now.
+        has_ended: whether a limit, or a success that ends the run, has been reached.
+        limit: the limit that has ended it; empty before.
+        key_frames: number of key frames so far.
+    """
+
+    success: bool
+    has_ended: bool
+    limit: str
+    key_frames: int
+
+    @property
+    def feedback(self) -> Feedback:
+        """Feedback of the latest key frame."""
+
+    def drive(self, goal: Goal, sent: NDArray[np.float32] | None = None) -> Feedback:
+        """Drives the arm to a goal, or to another pose ``sent`` (10,) in its place, and returns the feedback."""
+
+
+class KeyFrameRun:
+    """Implements `Run` by key frames, in a freshly reset environment.
+
+    Args:
+        env: reset; ``observation`` is what its reset returned.
+        observation: the first one.
+        on_key_frame: called with every key frame.
+        past_success: whether the run continues after success.
+    """
+
+    def __init__(
+        self,
+        env: KeyframeEnvironment,
+        observation: Observation,
+        on_key_frame: Callable[[KeyFrame], None] | None = None,
+        *,
+        past_success: bool = False,
+    ) -> None:
+        self._env, self.observation, self._on_key_frame, self._past = env, observation, on_key_frame, past_success
+        self.success, self.has_ended, self.limit, self.key_frames = False, False, "", 0
+
+    @property
+    def feedback(self) -> Feedback:
+        """Feedback of the latest key frame."""
+        return self._env.feedback
+
+    def drive(self, goal: Goal, sent: NDArray[np.float32] | None = None) -> Feedback:
+        """Drives a key frame; see `Run`."""
+        env = self._env
+        following, _, terminated, truncated, info = env.step(goal.action() if sent is None else sent)
+        self.key_frames += 1
+        self.success = self.success or bool(info["is_success"])
+        if self._on_key_frame is not None:
+            frame = KeyFrame(self.observation, goal, env.feedback, following, self.success, env.labels, sent)
+            self._on_key_frame(frame)
+        self.observation = following
+        is_full = self.key_frames >= env.max_key_frames
+        self.has_ended = truncated or is_full or (terminated and not self._past)
+        self.limit = info.get("limit", TIME_LIMIT) if self.has_ended else ""
+        return env.feedback
+
+
+def play(run: Run, expert: KeyFrames) -> RolloutResult:
+    """Runs an expert until its end or the run's, and closes it."""
+    try:
+        goal = next(expert, None)
+        while goal is not None and not run.has_ended:
+            feedback = run.drive(goal)
+            goal = None if run.has_ended else next_goal(expert, feedback)
+    finally:
+        expert.close()
+    return result_of(run, "the expert ended without success")
+
+
+def result_of(run: Run, reason: str) -> RolloutResult:
+    """Returns the result of a run; ``reason`` is why it ended without success and without a limit."""
+    return RolloutResult(run.success, run.key_frames, "success" if run.success else run.limit or reason)
+
+
 def rollout(
     env: KeyframeEnvironment,
     observation: Observation,
@@ -139,24 +221,7 @@ def rollout(
         on_key_frame: called with every key frame.
         past_success: continue after success until the expert ends, as demonstrations do: it pulls a door wide open.
     """
-    success, reason, key_frames, info = False, "the expert ended without success", 0, dict[str, Any]()
-    try:
-        goal = next(expert, None)
-        while goal is not None and key_frames < env.max_key_frames:
-            following, _, terminated, truncated, info = env.step(goal.action())
-            key_frames += 1
-            success = success or bool(info["is_success"])
-            if on_key_frame is not None:
-                on_key_frame(KeyFrame(observation, goal, env.feedback, following, success, env.labels))
-            if truncated or (terminated and not past_success):
-                break
-            observation = following
-            goal = next_goal(expert, env.feedback)
-        if goal is not None:
-            reason = info.get("limit", TIME_LIMIT)
-    finally:
-        expert.close()
-    return RolloutResult(success, key_frames, "success" if success else reason)
+    return play(KeyFrameRun(env, observation, on_key_frame, past_success=past_success), expert)
 
 
 def next_goal(expert: KeyFrames, feedback: Feedback) -> Goal | None:

@@ -18,13 +18,17 @@ from lerobot_adamanip.collection.mistakes import (
     mistaken_rollout,
 )
 from lerobot_adamanip.collection.replay import replay
+from lerobot_adamanip.collection.tries_so_far import DenseTries, KeyFrameTries, followed
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.control import CONTROLS, DENSE
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, Outcome, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector, rotation_about, transform
 from lerobot_adamanip.datasets.collection_spec import CollectionSpec
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
+from lerobot_adamanip.episode.dense import DenseRun
 from lerobot_adamanip.episode.options import EnvironmentOptions
+from lerobot_adamanip.episode.rollout import KeyFrameRun
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.make_environment import make_environment
@@ -115,8 +119,10 @@ def test_mistakes_that_cannot_be_made_are_refused(wrong: dict[str, Any], refuses
 
 
 @pytest.mark.sim
-def test_the_expert_goes_on_from_its_mistakes() -> None:
-    env: Any = make_environment(EnvironmentOptions("microwave", num_points=64, observe_images=False, split="train"))
+@pytest.mark.parametrize("control", CONTROLS)
+def test_the_expert_goes_on_from_its_mistakes(control: str) -> None:
+    options = EnvironmentOptions("microwave", num_points=64, observe_images=False, split="train", control=control)
+    env: Any = make_environment(options)
     succeeded, failed = 0, 0
     try:
         for seed in range(4):
@@ -130,13 +136,19 @@ def test_the_expert_goes_on_from_its_mistakes() -> None:
                 return make_expert("microwave", "adaptive", env.annotations, generator=generator, **known, **state)
 
             driver = MistakenExpert(expert(), expert, Mistakes(0.25, rng), rng)
-            result = mistaken_rollout(env, observation, driver, frames.append)
+            if control == DENSE:
+                tries: Any = DenseTries(env)
+                run: Any = DenseRun(env, observation, followed(tries, frames.append), past_success=True)
+            else:
+                tries, run = KeyFrameTries(env), KeyFrameRun(env, observation, frames.append, past_success=True)
+            result = mistaken_rollout(run, tries, driver)
             succeeded += result.success
-            failed += sum(frame.labels.failed for frame in frames)
+            failed += sum(fails for *_, fails in env.episode_record()["try_sequence"])
             assert any(frame.executed is not None for frame in frames)
-            opened = [frame.success for frame in frames].index(True) if result.success else len(frames)
-            assert all(frame.executed is None for frame in frames[opened + 1 :])
-            assert len(frames) < env.max_key_frames, "it ends where the expert ends"
+            done = [frame.success and (control != DENSE or frame.outcome is not None) for frame in frames]
+            after = done.index(True) + 1 if result.success else len(frames)
+            assert all(frame.executed is None for frame in frames[after:])
+            assert not run.has_ended, "it ends where the expert ends"
     finally:
         env.close()
     assert succeeded >= 3
