@@ -42,7 +42,7 @@ from lerobot_adamanip.episode.rollout import (
     EpisodeRecorder,
     KeyFrame,
     KeyFrameRun,
-    Run,
+    RolloutResult,
     SimulatedEnvironment,
     rollout,
 )
@@ -273,25 +273,7 @@ def attempt_episode(
         beat()
 
     expert = functools.partial(_expert, env, spec, make_expert, request)
-    if actor is not None:
-        rng = episode_generator(request.seed, Stream.CORRECTION, category_of(request.object_id))
-        correcting = Correcting(actor, functools.partial(expert, late=True), spec.expert_share, request.seed, rng)
-        corrected: Any = corrected_rollout if dense is None else dense_corrected_rollout
-        result = corrected(env, observation, correcting, record)
-    elif spec.mistakes > 0:
-        rng = episode_generator(request.seed, Stream.MISTAKE, category_of(request.object_id))
-        take_over, mistakes = functools.partial(expert, late=True), Mistakes(spec.mistakes, rng)
-        driver = MistakenExpert(expert(late=late), take_over, mistakes, rng)
-        if dense is None:
-            run: Run = KeyFrameRun(env, observation, record, past_success=True)
-            result = mistaken_rollout(run, KeyFrameTries(env), driver)
-        else:
-            tries = DenseTries(dense)
-            run = DenseRun(dense, observation, followed(tries, record), past_success=True)
-            result = mistaken_rollout(run, tries, driver)
-    else:
-        play_out: Any = rollout if dense is None else dense_rollout
-        result = play_out(env, observation, expert(late=late), record, past_success=True)
+    result = _drive(env, observation, record, spec, request, expert=expert, actor=actor, late=late)
     episode_record = env.episode_record()
     is_kept = result.success or actor is not None
     description = EpisodeDescription(
@@ -318,6 +300,37 @@ def attempt_episode(
     columns = recorder.columns()
     record_of_rows = with_row_tasks(description.record(env.task_description), columns, spec.environment)
     return attempt, RecordedEpisode(columns, record_of_rows)
+
+
+def _drive(
+    env: SimulatedEnvironment,
+    observation: Any,
+    record: Callable[[Any], None],
+    spec: CollectionSpec,
+    request: EpisodeRequest,
+    *,
+    expert: Callable[..., KeyFrames],
+    actor: Actor | None,
+    late: bool,
+) -> RolloutResult:
+    """Drives an episode from its first observation on, and records each step."""
+    dense = cast("DenseEnvironment", env) if spec.environment.is_dense else None
+    category, take_over = category_of(request.object_id), functools.partial(expert, late=True)
+    if actor is not None:
+        rng = episode_generator(request.seed, Stream.CORRECTION, category)
+        correcting = Correcting(actor, take_over, spec.expert_share, request.seed, rng)
+        corrected: Any = corrected_rollout if dense is None else dense_corrected_rollout
+        return cast("RolloutResult", corrected(env, observation, correcting, record))
+    if spec.mistakes == 0:
+        demonstrated: Any = rollout if dense is None else dense_rollout
+        return cast("RolloutResult", demonstrated(env, observation, expert(late=late), record, past_success=True))
+    rng = episode_generator(request.seed, Stream.MISTAKE, category)
+    driver = MistakenExpert(expert(late=late), take_over, Mistakes(spec.mistakes, rng), rng)
+    if dense is None:
+        run = KeyFrameRun(env, observation, record, past_success=True)
+        return mistaken_rollout(run, KeyFrameTries(env), driver)
+    tries = DenseTries(dense)
+    return mistaken_rollout(DenseRun(dense, observation, followed(tries, record), past_success=True), tries, driver)
 
 
 def _start(
