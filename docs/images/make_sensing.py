@@ -56,7 +56,7 @@ def main() -> None:
     font = ImageFont.truetype(Path(matplotlib.get_data_path()) / "fonts" / "ttf" / "DejaVuSans.ttf", 13)
     sheet = Image.new("RGB", (len(LEVELS) * SIZE, len(SHOWN) * (SIZE + BAR)), "white")
     for row, category in enumerate(SHOWN):
-        seen = np.zeros((SIZE, SIZE), np.bool_)
+        seen: NDArray[Any] = np.zeros((SIZE, SIZE), np.bool_)
         for column, level in enumerate(LEVELS):
             image = depth(category, level)
             seen = image > 0 if column == 0 else seen
