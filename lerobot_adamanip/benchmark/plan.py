@@ -46,7 +46,7 @@ _EXPERT_OPTIONS = {
         f"--env.{name}": f"--{name.replace('_', '-')}"
         for name in (
             "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log",
-            "repeats",
+            "repeats", "sensing",
         )
     },
 }  # fmt: skip

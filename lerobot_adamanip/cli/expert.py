@@ -51,6 +51,9 @@ class ExpertCommand:
     mechanism_rules: str = "paper"
     """Rules of mechanisms: paper, upstream, hard (for pressure_cooker and coffee_maker), row or changing."""
 
+    sensing: str = "exact"
+    """Errors of sensors and arm, as of `--env.sensing`. The expert sees no cloud, so the arm's errors alone matter."""
+
     repeats: int = 1
     """Episodes in a row that play one scene. The expert forgets it after each episode."""
 
@@ -80,7 +83,7 @@ class ExpertCommand:
             raise ConfigurationError(
                 "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"
             )
-        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats")
+        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats", "sensing")
         options = EnvironmentOptions(
             **{name: getattr(self, name) for name in shared},
             max_key_frames=self.episode_length,

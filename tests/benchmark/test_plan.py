@@ -154,12 +154,16 @@ def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
 
 def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     methods = {**content()["methods"], "expert": {"title": "Expert", "expert": ["--expert=static", "--trials=2"]}}
-    scale = {**content()["scales"][SCALE], "seeds": [1, 2], "evaluate": ["--seed=7", "--env.max_failed_tries=best"]}
+    scale = {
+        **content()["scales"][SCALE],
+        "seeds": [1, 2],
+        "evaluate": ["--seed=7", "--env.max_failed_tries=best", "--env.sensing=rough"],
+    }
     declaration = declared(methods=methods, scales={SCALE: scale})
     assert [each.seed for each in all_cells(declaration, SCALE) if each.method == "expert"] == [1, 1]
     (test,) = plan(cell("expert"), declaration, SCALE, VERSIONS).chain()
     made = parse_command("expert", test.command[2:])
-    assert (made.expert, made.trials, made.seed, made.episodes) == ("static", 2, 7, 5)
+    assert (made.expert, made.trials, made.seed, made.episodes, made.sensing) == ("static", 2, 7, 5, "rough")
     assert str(made.episode_log.parent) == test.product
     policy = evaluation_options(shlex.join(steps(declaration)[EVALUATE].command))
     expert = evaluation_options(shlex.join(test.command))
