@@ -26,6 +26,8 @@ _KEY_FRAME = "One action is one key frame: the arm is driven to the pose, or unt
 _CONTACTS = "Past motions of its closed hand, and how far the arm followed them, tell it what has been tried."
 _METHODS = {
     "fast": "It is no diffusion policy: it chooses a typical motion of its demonstrations and refines it.",
+    "keyframe": "A diffusion policy: it chooses an anchor among the motions of its demonstrations, denoises around it, "
+    "and refines the pose.",
     "diffusion": "The method is the paper's, in the tool's frame: a diffusion policy, whose approaches are refined.",
     "dense": "The method is the paper's, in the tool's frame: a diffusion policy, in chunks of actions.",
     "dp3": "The method is 3D Diffusion Policy, without a history of actions.",
@@ -125,7 +127,7 @@ def _notes(config: Mapping[str, Any]) -> str:
     fps = config.get("control_fps")
     action = f"It acts at control rate, {fps} Hz." if fps else _KEY_FRAME
     first = f"{action} {_METHODS.get(preset, '')}".rstrip()
-    remembers = preset in ("fast", "diffusion", "dense") and config.get("n_action_history_steps")
+    remembers = preset in ("fast", "keyframe", "diffusion", "dense") and config.get("n_action_history_steps")
     return f"{first}\n{_CONTACTS}" if remembers else first
 
 

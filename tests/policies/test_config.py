@@ -181,7 +181,7 @@ def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
-    rules = Inference(memory=False) if preset in ("fast", "diffusion") else Inference()
+    rules = Inference(memory=False) if preset in ("fast", "keyframe", "diffusion") else Inference()
     options: dict[str, Any] = {"encoder_dims": (8, 16), "inference": rules}
     config = DP3AdaptiveConfig(preset=preset, num_points=77, use_effort=True, device="cpu", tags=["a"], **options)
     shapes = {schema.POINT_CLOUD: (77, 3), schema.STATE: (24,), schema.EFFORT: (7,)}
@@ -196,7 +196,7 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
     changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--encoder_out_dim=7"])
     assert (changed.encoder_out_dim, changed.num_points) == (7, 77)
     other = next(name for name in PRESETS if name != preset)
-    if preset in ("fast", "diffusion"):
+    if preset in ("fast", "keyframe", "diffusion"):
         switched = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--inference.no_repeat=false"])
         assert switched.inference == Inference(memory=False, no_repeat=False)
     with pytest.raises(AdaManipError, match=rf"(?s)checkpoint's preset cannot be changed.*preset={other}"):

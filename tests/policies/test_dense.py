@@ -157,7 +157,7 @@ def test_the_baseline_learns_from_deltas_too(make: Make, tmp_path: Path, batch_o
 # Data that do not fit -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 def test_presets_of_key_frames_refuse_data_at_control_rate(make: Make, refuses: Any, preset: str) -> None:
     message = refuses(ConfigurationError, lambda: make(preset))
     assert "needs key frames" in message

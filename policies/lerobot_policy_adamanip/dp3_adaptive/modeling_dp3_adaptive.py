@@ -32,6 +32,7 @@ from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
 from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.truncated import TruncatedHead
 
 EMA_POWER, EMA_MAX = 0.75, 0.9999
 """The averaged weights' decay at step n is 1 - (1 + n)^-`EMA_POWER`, at most `EMA_MAX`."""
@@ -87,6 +88,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     def _make_head(self, stats: schema.Statistics | None) -> Any:
         if self.config.method.head == "anchors":
             return AnchorHead(self.config)
+        if self.config.method.head == "truncated":
+            return TruncatedHead(self.config)
         from lerobot_policy_adamanip.dp3_adaptive import diffusion  # imports diffusers
 
         if self._sees_from_tool:

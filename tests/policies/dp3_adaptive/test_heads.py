@@ -21,7 +21,7 @@ from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Infe
 from lerobot_policy_adamanip.dp3_adaptive.tool_head import Refiner, TypicalMotions
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-every_head = pytest.mark.parametrize("preset", ["fast", "diffusion"])
+every_head = pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 
 
 def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
@@ -54,7 +54,11 @@ def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: Ma
     residuals = torch.zeros(2, 6, 7)
     rows = torch.arange(2)
     residuals[rows, nearest] = (motion - policy.model.motions.anchors[nearest]) / policy.model.motions.spread[nearest]
-    policy.model.forward = lambda _: (logits, residuals, None)
+    if policy.config.preset == "keyframe":
+        policy.model.forward = lambda _: (torch.zeros(2, 1), logits, None)
+        policy.model.denoiser.forward = lambda _, index, *noisy: residuals[rows[:, None], index]
+    else:
+        policy.model.forward = lambda _: (logits, residuals, None)
     loss, _, _ = policy.model.loss(window, actions, real)
     torch.testing.assert_close(loss, torch.zeros(2), rtol=0, atol=1e-6)
     drawn = policy.model.sample(window, None)
@@ -256,10 +260,13 @@ def drawing(policy: Any, window: Window, *motions: torch.Tensor) -> list[torch.T
     policy.fit_anchors(torch.stack([LEFT, RIGHT]).repeat(20, 1), torch.ones(40))
     policy.model.motions.spread[:, :3] = 0.02
     goals = [pose_after(motion.expand(len(tool), 7), tool) for motion in motions]
-    if policy.config.method.head == "anchors":
+    if policy.config.method.head != "diffusion":
         first = policy.model.motions.nearest(motions[0])
-        logits = torch.zeros(len(tool), 2).index_fill(1, first, 2.0)
-        policy.model.forward = lambda _: (logits, torch.zeros(len(tool), 2, 7), None)
+        logits, still = torch.zeros(len(tool), 2).index_fill(1, first, 2.0), torch.zeros(len(tool), 2, 7)
+        is_denoised = policy.config.method.head == "truncated"
+        policy.model.forward = lambda _: (still[:, 0], logits, None) if is_denoised else (logits, still, None)
+        if is_denoised:
+            policy.model.denoiser.forward = lambda *_: still
         return goals
     horizon = policy.config.horizon
     encoded = [policy.model.encode(goal[:, None].expand(-1, horizon, -1), window) for goal in goals]

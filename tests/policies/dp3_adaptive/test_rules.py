@@ -304,12 +304,19 @@ class Drawn:
     def __init__(self, policy: Any, window: Window, *motions: Tensor) -> None:
         self.policy, self.window, self.motions = policy.eval(), window, torch.stack(motions)
         policy.fit_anchors(self.motions.repeat(20, 1), torch.full((20 * len(motions),), HOLDING))
-        if policy.config.method.head == "anchors":
+        if policy.config.method.head != "diffusion":
             order = policy.model.motions.nearest(self.motions)
-            logits = torch.zeros(len(motions)).index_put((order,), -2.0 * torch.arange(len(motions)))
-            residuals = torch.zeros(1, len(motions), 7)
-            forward = policy.model.forward
-            policy.model.forward = lambda window: (logits[None], residuals, forward(window)[2])
+            logits = torch.zeros(len(motions)).index_put((order,), -2.0 * torch.arange(len(motions)))[None]
+            residuals, forward = torch.zeros(1, len(motions), 7), policy.model.forward
+            is_denoised = policy.config.method.head == "truncated"
+
+            def drawn(window: Window) -> Any:
+                first, _, added = forward(window)
+                return (first, logits, added) if is_denoised else (logits, residuals, added)
+
+            policy.model.forward = drawn
+            if is_denoised:
+                policy.model.denoiser.forward = lambda *_: residuals
         else:
             self.refill()
 
@@ -323,7 +330,7 @@ class Drawn:
     def acts_on(self, **switches: bool) -> Tensor:
         """Returns the motion (7,) to the action, with the network's likeliest draw first."""
         self.policy.config.inference = Inference(**switches)
-        if self.policy.config.method.head != "anchors":
+        if self.policy.config.method.head == "diffusion":
             self.refill()
         action = self.policy.model.sample(self.window, torch.full((1, 1), 0.5))[:, 0]
         return motion_between(action, self.policy.model.tool(self.window))[0]
@@ -338,7 +345,7 @@ CASES: list[tuple[str, Tensor, float, tuple[Tensor, Tensor], int]] = [
 """Switch, earlier command of a hand that did not move, its opening, motions in the network's order, acted on."""
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case[0])
 def test_each_rule_decides_a_draw_and_can_be_switched_off_alone(
     make_tiny: MakeTiny, batch_of: Any, preset: str, case: tuple[str, Tensor, float, tuple[Tensor, Tensor], int]
@@ -354,7 +361,7 @@ def test_each_rule_decides_a_draw_and_can_be_switched_off_alone(
     torch.testing.assert_close(drawn.acts_on(**others), motions[expected], rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 def test_an_open_hand_whose_way_is_blocked_backs_off(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
     """Not where it was sent nowhere, or with the rule switched off."""
     policy, before, _, dataset = make_tiny(preset=preset)
@@ -370,7 +377,7 @@ def test_an_open_hand_whose_way_is_blocked_backs_off(make_tiny: MakeTiny, batch_
         assert not torch.allclose(policy.model.sample(window, None)[:, 0], retreat, atol=1e-3)
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 def test_the_memory_can_be_switched_off_alone(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
     """Then the action is that of a hand without contact events, and the loss is as before."""
     policy, before, _, dataset = make_tiny(preset=preset, num_refinements=0)

@@ -47,7 +47,7 @@ def test_one_text_is_a_list_of_one_and_none_is_an_error() -> None:
             told(task)
 
 
-@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion", "dp3"])
 def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
     make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str
 ) -> None:

@@ -133,7 +133,7 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
 
 
 @pytest.mark.skipif(not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="this CPU does not run bfloat16")
-@pytest.mark.parametrize("preset", ["fast", "diffusion", "dp3"])
+@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion", "dp3"])
 def test_a_policy_trains_and_acts_in_half_precision(
     make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str
 ) -> None:
