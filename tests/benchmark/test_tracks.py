@@ -1,4 +1,4 @@
-"""The declaration of the tracks: every cell can be planned, and held-out categories are in no training."""
+"""Declarations of tracks and sensors: each cell can be planned, held-out categories are in no training."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ from lerobot_adamanip.benchmark import declaration
 from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, MERGE, Cell, Step, all_cells, plan
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.sensing import parse_sensing
 from lerobot_adamanip.mechanisms import categories_with
 
-TRACKS = read_declaration(Path(declaration.__file__).with_name("tracks.toml"))
+TRACKS, SENSORS = (
+    read_declaration(Path(declaration.__file__).with_name(name)) for name in ("tracks.toml", "sensors.toml")
+)
 
 
 def chain(scale: str, method: str, category: str) -> list[Step]:
@@ -84,3 +87,17 @@ def test_a_wrong_track_is_named(changes: dict[str, Any], message: str) -> None:
     written["scales"][SCALE].update(changes)
     with pytest.raises(ValueError, match=message):
         parse_declaration(written)
+
+
+def test_errors_of_sensors_are_of_evaluations_and_two_trainings_serve_them_all() -> None:
+    trainings, sensing = set(), {}
+    for cell in all_cells(SENSORS, "validation"):
+        last = plan(cell, SENSORS, "validation", VERSIONS)
+        if cell.category == "door":
+            trainings.add(last.needs[0].key)
+            chosen = options(last)
+            sensing[cell.method] = chosen.get("--env.sensing", "exact"), chosen.get("--env.self_calibration", "false")
+            assert parse_sensing(sensing[cell.method][0]) is not None
+    assert len(trainings) == 2
+    assert len(set(sensing.values())) == len({name for name in sensing if not name.startswith("trained")})
+    assert sensing["trained_d435"] == sensing["d435"] == ("d435", "false")
