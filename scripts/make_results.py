@@ -17,7 +17,7 @@ from check_common import ROOT, document_command
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
 from lerobot_adamanip.benchmark.leaderboard import TRAINING_SEED, leaderboard_page, problems
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
-from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page, means_beside_paper, summary
+from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page, summary
 from lerobot_adamanip.contract.versions import earlier_version, mixed_versions
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.report import OBJECT_SPLITS
@@ -27,7 +27,7 @@ from lerobot_adamanip.util.errors import DatasetError
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
-MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "paper": means_beside_paper}
+MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary}
 """Scale -> its means in the README."""
 SCALES = ("test", "paper", "control_rate")
 """Order of the scales on the page; others follow."""

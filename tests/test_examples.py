@@ -34,11 +34,11 @@ def run(no_vulkan: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capture
     return run
 
 
-def test_every_example_is_run_here_and_named_in_the_readme() -> None:
+def test_every_example_is_run_here_and_named_on_the_page() -> None:
     assert {path.stem for path in EXAMPLES} == TESTED
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    page = (ROOT / "docs" / "python.md").read_text(encoding="utf-8")
     for path in EXAMPLES:
-        assert f"examples/{path.name}" in readme
+        assert f"examples/{path.name}" in page
 
 
 def test_a_dataset_is_read(tmp_path: Path, run: Run) -> None:

@@ -72,20 +72,6 @@ def summary(report: BenchmarkReport) -> str:
     return f"{markdown_table(titles, rows)}\n\n{explanation}"
 
 
-def means_beside_paper(report: BenchmarkReport) -> str:
-    """Returns the mean success of the paper's methods with the paper's numbers in brackets; empty without any."""
-    means = []
-    for name in report.methods:
-        paper, ours = reported_mean(report.paper[name], report.categories), report.mean(name, PAPER_OBJECTS)
-        if paper is not None and ours is not None:
-            means.append(f"{report.titles[name]} {percent_text(ours)} ({paper:.1f})")
-    if not means:
-        return ""
-    number = counted(report.results[0].rows[0].metrics.success.episodes, f"{report.scenes} scene")
-    title = f"Mean success in the setting of the paper's code, {number} of each category (in the paper)"
-    return f"{title}: {', '.join(means)}."
-
-
 def _extent(report: BenchmarkReport) -> str:
     """Returns the number of results, the missing cells, and methods that cannot run here."""
     versions = sorted({str(result.simulation_version) for result in report.results})
