@@ -20,7 +20,7 @@ from lerobot_adamanip.cli.main import COMMANDS, parse_command
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.experts import Outcome, Phase
 
-OFTEN = ("README.md", "docs/twin.md")
+OFTEN = ("docs/python.md", "docs/twin.md")
 """Documents of which the Python blocks run in `make test`; those of the others run every night."""
 PROCESSES = "forkserver"
 """What a block has that starts a simulator in each of several processes: it runs at night, too."""
