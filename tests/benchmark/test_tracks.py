@@ -91,8 +91,8 @@ def test_a_wrong_track_is_named(changes: dict[str, Any], message: str) -> None:
 
 def test_errors_of_sensors_are_of_evaluations_and_two_trainings_serve_them_all() -> None:
     trainings, sensing = set(), {}
-    for cell in all_cells(SENSORS, "validation"):
-        last = plan(cell, SENSORS, "validation", VERSIONS)
+    for cell in all_cells(SENSORS, "sensors"):
+        last = plan(cell, SENSORS, "sensors", VERSIONS)
         if cell.category == "door":
             trainings.add(last.needs[0].key)
             chosen = options(last)
