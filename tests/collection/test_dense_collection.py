@@ -198,7 +198,7 @@ def test_key_frames_are_the_experts(images: bool, tmp_path: Path) -> None:
 
 
 def test_a_try_that_starts_after_the_success_has_no_label() -> None:
-    """The episode's record ends with the success, and the expert goes on: it may touch another joint."""
+    """The record ends with the success, but the expert continues and may touch another joint."""
     tries = [[1, 1, True], [0, 1, False]]
     env = SimpleNamespace(joints=lambda: np.zeros(2), episode_record=lambda: {"try_sequence": tries})
     labels = [KeyFrameLabels(joint, number=number) for number, joint in enumerate((1, 0, 1))]
