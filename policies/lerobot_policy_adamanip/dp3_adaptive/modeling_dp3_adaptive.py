@@ -19,19 +19,15 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import DENSE
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs, strokes
-from lerobot_policy_adamanip.common.contacts import ChoiceMemory
-from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
-from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import AnchoredHead
 from lerobot_policy_adamanip.dp3_adaptive.truncated import TruncatedHead
 
 EMA_POWER, EMA_MAX = 0.75, 0.9999
@@ -324,7 +320,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         return {**observation, schema.POINT_CLOUD: cloud[None] if cloud.dim() == 2 else cloud}
 
 
-class AnchorHead(ToolHead):
+class AnchorHead(AnchoredHead):
     """The head ``anchors``: draws one of the demonstrations' typical motions, adds a residual and refines the pose.
 
     Motions in contact are millimetres long, approaches decimetres. Motions are clustered (k-means, as in Behavior
@@ -335,25 +331,9 @@ class AnchorHead(ToolHead):
     without a history. The rules act before a contact event, too.
     """
 
-    DRAWS = 4
-
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
-        super().__init__()
-        self.config = config
-        self.motions = TypicalMotions(config.num_anchors)
-        self.encoder = PointNetEncoder(POINT_DIM, config.encoder_dims, config.encoder_out_dim)
-        features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
-        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        self.logits = nn.Linear(width, config.num_anchors)
-        self.residuals = nn.Linear(width, config.num_anchors * geometry.MOTION_DIM)
-        self.refiner = self.make_refiner(config)
-        # Last, so that the weights above start as those of a network without a memory.
-        self.memory = (
-            ChoiceMemory(config.memory_dim, config.trunk_dim, config.num_anchors)
-            if config.n_action_history_steps
-            else None
-        )
-        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
+    def add_residuals(self, width: int) -> None:
+        """Adds a layer that gives each anchor a residual."""
+        self.residuals = nn.Linear(width, self.config.num_anchors * geometry.MOTION_DIM)
 
     def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
         """Returns logits (B, K) and residuals (B, K, 7) without memory, and what the memory adds to the logits."""
@@ -394,27 +374,7 @@ class AnchorHead(ToolHead):
         logits, drawn = logits.float(), motions.anchors + residuals.float() * motions.spread
         if added is not None and inference.memory:
             logits = logits + added.float()
-        past = self.past(window) if self.memory is not None else None
-        every = torch.arange(logits.shape[1], device=logits.device)
-        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
-        logits, rejected = logits - rules.UNDO_PENALTY * limits.undoing, limits.rejected
-        opens = motions.anchors[:, -1] >= CLOSED_HAND
-        rows, noises = torch.arange(len(tool), device=tool.device), self._noises(len(tool), noise, logits)
-        chosen, done = None, torch.zeros_like(rejected[:, 0])
-        for draw_noise in noises.unbind(dim=1):
-            allowed = rules.allowed_probabilities(logits.softmax(dim=-1), rejected, limits.useless, opens)
-            index = rules.draw_anchor(inference, allowed, draw_noise)
-            motion = drawn[rows, index]
-            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
-            pose, usable = self.refine(window, index, pose)
-            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
-            done = done | usable
-            if bool(done.all()):
-                break
-            # In rows that have a usable action, nothing more is masked.
-            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
-        assert chosen is not None
-        return rules.back_off(inference, past, chosen[:, None])
+        return self.choose(window, logits, drawn, self._noises(len(tool), noise, logits))
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:
         """Returns uniform numbers (B, draws), beginning with those of ``noise``."""
@@ -424,13 +384,3 @@ class AnchorHead(ToolHead):
             return noises
         first = noise.reshape(count, -1)[:, :draws]
         return torch.cat([first, noises[:, first.shape[1] :]], dim=1)
-
-
-def _leave_out_memory(head: AnchorHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
-    """Removes the weights of a memory from those that are loaded into a head that has none.
-
-    Nothing else was trained with it, so the rest is the policy without a history.
-    """
-    if head.memory is None:
-        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
-            del weights[name]

@@ -1,6 +1,6 @@
 """Hand-written rules that act at inference, beside the trained network.
 
-Each rule has a switch in `configuration_dp3_adaptive.Inference`. `AnchorHead.sample` applies them in this order:
+Each rule has a switch in `configuration_dp3_adaptive.Inference`. `AnchoredHead.choose` applies them in this order:
 hand-state mask, no repeat, no undo, fall-back if no motion is left, probability floor, swapped fingers, redraws (a loop
 of the head), backing off.
 """

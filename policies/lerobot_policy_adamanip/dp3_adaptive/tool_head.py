@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import Past, surely_none
+from lerobot_policy_adamanip.common.contacts import ChoiceMemory, Past, surely_none
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.common.inputs import Window
@@ -145,6 +145,62 @@ class ToolHead(nn.Module):
         refined, usable = self.refiner.refine_where(needed, cloud, pose, self._instruction(window))
         refined = rules.swap_fingers(self.config.inference, refined, pose, self.tool(window))
         return torch.where(needed[:, None], refined, pose), usable
+
+
+class AnchoredHead(ToolHead):
+    """Base class of the heads that choose among typical motions: `AnchorHead` and `truncated.TruncatedHead`."""
+
+    DRAWS = 4
+
+    def __init__(self, config: DP3AdaptiveConfig) -> None:
+        super().__init__()
+        self.config = config
+        self.motions = TypicalMotions(config.num_anchors)
+        self.encoder = PointNetEncoder(POINT_DIM, config.encoder_dims, config.encoder_out_dim)
+        features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
+        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
+        self.logits = nn.Linear(width, config.num_anchors)
+        self.add_residuals(width)
+        self.refiner = self.make_refiner(config)
+        # Last, so that the weights above start as those of a network without a memory.
+        self.memory = (
+            ChoiceMemory(config.memory_dim, config.trunk_dim, config.num_anchors)
+            if config.n_action_history_steps
+            else None
+        )
+        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
+
+    def add_residuals(self, width: int) -> None:
+        """Adds the layers of the anchors' residuals, after features of this width."""
+        raise NotImplementedError
+
+    def choose(self, window: Window, logits: Tensor, drawn: Tensor, noises: Tensor) -> Tensor:
+        """Draws actions (B, 1, 10) among motions (B, K, 7) by logits (B, K) and uniform noises (B, draws).
+
+        An anchor whose approach ends at nothing is masked, and another one drawn. If all draws fail, the first counts.
+        """
+        inference, motions, tool = self.config.inference, self.motions, self.tool(window)
+        past = self.past(window) if self.memory is not None else None
+        every = torch.arange(logits.shape[1], device=logits.device)
+        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
+        logits, rejected = logits - rules.UNDO_PENALTY * limits.undoing, limits.rejected
+        opens = motions.anchors[:, -1] >= CLOSED_HAND
+        rows = torch.arange(len(tool), device=tool.device)
+        chosen, done = None, torch.zeros_like(rejected[:, 0])
+        for draw_noise in noises.unbind(dim=1):
+            allowed = rules.allowed_probabilities(logits.softmax(dim=-1), rejected, limits.useless, opens)
+            index = rules.draw_anchor(inference, allowed, draw_noise)
+            motion = drawn[rows, index]
+            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
+            pose, usable = self.refine(window, index, pose)
+            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
+            done = done | usable
+            if bool(done.all()):
+                break
+            # In rows that have a usable action, nothing more is masked.
+            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
+        assert chosen is not None
+        return rules.back_off(inference, past, chosen[:, None])
 
 
 class TypicalMotions(nn.Module):
@@ -334,3 +390,13 @@ def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
     gripper = pose[:, 9:10]
     tilted = geometry.pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
     return geometry.pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)
+
+
+def _leave_out_memory(head: AnchoredHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
+    """Removes the weights of a memory from those that are loaded into a head that has none.
+
+    Nothing else was trained with it, so the rest is the policy without a history.
+    """
+    if head.memory is None:
+        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
+            del weights[name]

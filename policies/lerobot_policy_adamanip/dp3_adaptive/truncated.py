@@ -14,15 +14,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, STATE
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import ChoiceMemory
-from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
-from lerobot_policy_adamanip.dp3_adaptive import rules
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import AnchoredHead
 
 TRUNCATION = 1.0
 """Angle a of the strongest noise, pi/2 for noise alone: residuals have a share cos a of signal and sin a of noise."""
@@ -30,32 +25,16 @@ NOISES_PER_MOTION = 4
 """Number of noisy versions of a motion in a batch: the denoiser is small, compared with the encoder."""
 
 
-class TruncatedHead(ToolHead):
+class TruncatedHead(AnchoredHead):
     """Scores the anchors, draws one, denoises its residual and refines the pose.
 
     The memory changes only the scores, and only after a contact event. Before one, they are those of a network without
     a history. The rules act before a contact event, too.
     """
 
-    DRAWS = 4
-
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
-        super().__init__()
-        self.config = config
-        self.motions = TypicalMotions(config.num_anchors)
-        self.encoder = PointNetEncoder(POINT_DIM, config.encoder_dims, config.encoder_out_dim)
-        features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
-        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        self.logits = nn.Linear(width, config.num_anchors)
-        self.denoiser = Denoiser(width, config.num_anchors)
-        self.refiner = self.make_refiner(config)
-        # Last, so that the weights above start as those of a network without a memory.
-        self.memory = (
-            ChoiceMemory(config.memory_dim, config.trunk_dim, config.num_anchors)
-            if config.n_action_history_steps
-            else None
-        )
-        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
+    def add_residuals(self, width: int) -> None:
+        """Adds the denoiser of residuals."""
+        self.denoiser = Denoiser(width, self.config.num_anchors)
 
     def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
         """Returns features (B, W), logits (B, K) without memory, and what the memory adds to the logits."""
@@ -99,27 +78,7 @@ class TruncatedHead(ToolHead):
         noises, start = self._noises(len(tool), noise, logits)
         residuals = self.denoiser.sample(features, start, self.config.num_inference_steps)
         drawn = motions.anchors + residuals * motions.spread
-        past = self.past(window) if self.memory is not None else None
-        every = torch.arange(logits.shape[1], device=logits.device)
-        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
-        logits, rejected = logits - rules.UNDO_PENALTY * limits.undoing, limits.rejected
-        opens = motions.anchors[:, -1] >= CLOSED_HAND
-        rows = torch.arange(len(tool), device=tool.device)
-        chosen, done = None, torch.zeros_like(rejected[:, 0])
-        for draw_noise in noises.unbind(dim=1):
-            allowed = rules.allowed_probabilities(logits.softmax(dim=-1), rejected, limits.useless, opens)
-            index = rules.draw_anchor(inference, allowed, draw_noise)
-            motion = drawn[rows, index]
-            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
-            pose, usable = self.refine(window, index, pose)
-            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
-            done = done | usable
-            if bool(done.all()):
-                break
-            # In rows that have a usable action, nothing more is masked.
-            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
-        assert chosen is not None
-        return rules.back_off(inference, past, chosen[:, None])
+        return self.choose(window, logits, drawn, noises)
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns uniform numbers (B, draws) that select anchors, and Gaussian noise (B, 1, 7), from ``noise``."""
@@ -183,13 +142,3 @@ class Denoiser(nn.Module):
             noise = (sample - angle.cos() * clean) / angle.sin()
             sample = following.cos() * clean + following.sin() * noise
         return sample
-
-
-def _leave_out_memory(head: TruncatedHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
-    """Removes the weights of a memory from those that are loaded into a head that has none.
-
-    Nothing else was trained with it, so the rest is the policy without a history.
-    """
-    if head.memory is None:
-        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
-            del weights[name]
