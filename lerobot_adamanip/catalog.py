@@ -25,6 +25,8 @@ SEEN_COUNTS = {name: category.seen for name, category in CATEGORIES.items()}
 """Objects per category in the paper (its Table 1)."""
 UNSEEN_COUNT = 20
 """Number of objects per category in each of the selections ``unseen`` and ``novel``."""
+FOR_TESTS = "_test"
+"""Ending of the selections ``unseen_test`` and ``novel_test``: the next objects of a split, for reported numbers."""
 ObjectSplit = Literal["seen", "unseen", "novel"]
 
 
@@ -104,8 +106,8 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
 
     Args:
         category: category of the objects.
-        selection: ``seen``, ``unseen``, ``novel``, ``0:4`` (a range of numbers; of novel ones, ``n0:n4``), or
-            ``safe_000,safe_n007``.
+        selection: ``seen``, ``unseen``, ``novel``, ``unseen_test``, ``novel_test`` (see `FOR_TESTS`), ``0:4`` (a range
+            of numbers; of novel ones, ``n0:n4``), or ``safe_000,safe_n007``.
 
     Raises:
         ConfigurationError: the selection is none of these, or empty, or of another category.
@@ -114,6 +116,9 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     splits = {"seen": seen_objects, "unseen": unseen_objects, "novel": novel_objects}
     if selection in splits:
         return splits[selection](category)
+    if (of := selection.removesuffix(FOR_TESTS)) in ("unseen", "novel") and of != selection:
+        choose = unseen_objects if of == "unseen" else novel_objects
+        return choose(category, 2 * UNSEEN_COUNT)[UNSEEN_COUNT:]
     if match := re.fullmatch(r"(n?)(\d+):\1(\d+)", selection):
         numbers = range(int(match[2]), int(match[3]))
         ids = tuple(object_id(category, number, novel=bool(match[1])) for number in numbers)
@@ -123,7 +128,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
         raise ConfigurationError(
             f"Wrong selection of objects for category {category!r}.",
             got=repr(selection),
-            allowed="seen | unseen | novel | FIRST:END | nFIRST:nEND | id,id,...",
+            allowed="seen | unseen | novel | unseen_test | novel_test | FIRST:END | nFIRST:nEND | id,id,...",
             hint="0:4",
         )
     return ids

@@ -96,6 +96,7 @@ def test_an_unknown_category_is_refused_with_those_there_are(call: object) -> No
     ("selection", "expected"),
     [
         ("seen", seen_objects("safe")), ("unseen", unseen_objects("safe")), ("0:2", ("safe_000", "safe_001")),
+        ("unseen_test", unseen_objects("safe", 40)[20:]), ("novel_test", novel_objects("safe", 40)[20:]),
         ("35:37", ("safe_035", "safe_036")), ("safe_004", ("safe_004",)),
         (" safe_007, safe_003,", ("safe_007", "safe_003")), ("999:1001", ("safe_999", "safe_1000")),
         ("n2:n4", ("safe_n002", "safe_n003")), ("safe_n001,safe_001", ("safe_n001", "safe_001")),

@@ -69,8 +69,8 @@ class AdaManipEnvConfig(EnvConfig):
     # Memory of felt tries: events (numbers in observation.environment_state, for ACT and diffusion), text (a sentence
     # after the instruction, for SmolVLA and pi0.5), or none.
     memory: str = NO_MEMORY
-    # Objects: seen (the paper's number), unseen (the next 20), novel, FIRST:END, nFIRST:nEND (novel ones), or ids
-    # separated by commas.
+    # Objects: seen (the paper's number), unseen (the next 20), novel, unseen_test and novel_test (20 more of each, for
+    # reported numbers), FIRST:END, nFIRST:nEND (novel ones), or ids separated by commas.
     objects: str = "seen"
     # Folder of external assets to use (AdaManip, UniDoorManip or PartNet-Mobility), see docs/annotate.md.
     assets: str | None = None

@@ -169,7 +169,7 @@ class AssetSource:
             named = [each for each in self._candidates(category) if each.usable]
             if within := named[int(match[1]) : int(match[2])]:
                 return self._usable(category, within)
-        elif selection not in ("unseen", "novel"):
+        elif not selection.startswith(("unseen", "novel")):
             chosen = tuple(name.strip() for name in selection.split(",") if name.strip())
         if not chosen or any(parse_asset_id(name)[0] != category for name in chosen):
             raise ConfigurationError(

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from lerobot_adamanip.benchmark.paper_rates import SUCCESS
+from lerobot_adamanip.catalog import FOR_TESTS
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, STATES
@@ -150,6 +151,7 @@ class Scale:
         categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings.
         objects: objects of the demonstrations and of the split ``seen``.
         objects_at: category -> objects, where they differ.
+        reports: whether the splits ``unseen`` and ``novel`` are the objects that are kept for reported numbers.
         demonstrations: episodes per category, or per object with ``demonstrations_per_object``.
         steps, batch_size: steps and batch size of each training.
         save_every: steps between checkpoints; an interrupted training resumes from the last one. Changes no result.
@@ -183,6 +185,7 @@ class Scale:
     splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
     seeds: Annotated[tuple[int, ...], listing(integer(0, 2**31 - 1), 1, 100)] = (1000,)
     demonstrations_per_object: Annotated[bool, flag] = False
+    reports: Annotated[bool, flag] = False
     objects_at: Annotated[Mapping[str, str], mapping(choice(tuple(CATEGORIES)), _OBJECTS, 20)] = field(
         default_factory=dict
     )
@@ -192,6 +195,10 @@ class Scale:
     def objects_of(self, category: str) -> str:
         """Returns the objects of a category."""
         return self.objects_at.get(category, self.objects)
+
+    def tested_objects(self, category: str, split: str) -> str:
+        """Returns the objects of a category on which a cell of a split is evaluated."""
+        return self.objects_of(category) if split == "seen" else f"{split}{FOR_TESTS if self.reports else ''}"
 
     def trained_categories(self, category: str) -> tuple[str, ...]:
         """Returns the categories that a method with ``data_of`` learns from for a cell of ``category``."""

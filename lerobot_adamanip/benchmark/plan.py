@@ -375,7 +375,7 @@ def _evaluation(
         *(trained or untrained),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
-        f"--env.objects={scale.objects_of(cell.category) if cell.objects == 'seen' else cell.objects}",
+        f"--env.objects={scale.tested_objects(cell.category, cell.objects)}",
         "--env.split=test",
         f"--env.num_points={like.num_points}",
         *pictures,

@@ -134,6 +134,9 @@ def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() ->
         command = steps(declaration, which=cell(objects=objects))[EVALUATE].command
         assert option(command, "--env.objects") == said
         assert option(command, "--env.split") == "test"
+    for objects, said in (("seen", "0:3"), ("unseen", "unseen_test"), ("novel", "novel_test")):
+        command = steps(with_scale(objects="0:3", reports=True), which=cell(objects=objects))[EVALUATE].command
+        assert option(command, "--env.objects") == said
     pictures = declared(demonstrations={"adaptive": {"image_size": 96, "num_points": 512}, "static": {}})
     tested = steps(pictures)[EVALUATE]
     assert (option(tested.command, "--env.image_size"), option(tested.command, "--env.num_points")) == ("96", "512")
