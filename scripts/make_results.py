@@ -27,9 +27,9 @@ from lerobot_adamanip.util.errors import DatasetError
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
-MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary}
+MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "test_0_2": summary}
 """Scale -> its means in the README."""
-SCALES = ("test", "paper", "control_rate")
+SCALES = ("test", "paper", "control_rate", "test_0_2", "paper_0_2")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"
@@ -44,7 +44,7 @@ They are those of the commit below each table; later versions may spell them oth
 """
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
-![Success by method and category, with intervals, scale test](images/benchmark_success.png)
+![Success by method and category, with intervals, version 0.2.0](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 
@@ -55,11 +55,16 @@ PICTURES = """![Success over the failed tries that an episode may have](images/b
 
 
 def benchmark_reports(folder: Path) -> Iterator[BenchmarkReport]:
-    """Yields a report per scale of our declarations that has results."""
-    for declaration in map(read_declaration, sorted(PAPER_TABLE.parent.glob("*.toml"))):
+    """Yields a report per scale that has results; see `declarations`."""
+    for declaration in map(read_declaration, declarations(folder)):
         for scale in declaration.scales:
             if results := read_results(folder / "benchmark" / scale):
                 yield make_report(results.values(), declaration, scale)
+
+
+def declarations(folder: Path) -> list[Path]:
+    """Returns the files of our declarations, and of those that are kept beside results of earlier code."""
+    return [*sorted(PAPER_TABLE.parent.glob("*.toml")), *sorted((folder / "benchmark").glob("*/declaration.toml"))]
 
 
 def entries(folder: Path) -> dict[str, list[ResultFile]]:
@@ -73,12 +78,9 @@ def entries(folder: Path) -> dict[str, list[ResultFile]]:
                 allowed="see docs/leaderboard.md",
                 hint="repeat the evaluation",
             )
-    ours = [
-        one for one in read_results(folder / "benchmark" / "test").values() if one.run and one.run.method == "corrected"
-    ]
-    results = read_results(folder / "benchmark" / "test")
+    results = read_results(folder / "benchmark" / "test_0_2")
     ours = [one for name, one in results.items() if re.fullmatch(rf"corrected-.*-{TRAINING_SEED}\.json", name)]
-    return {"dp3_adaptive (this project)": ours, **others} if ours and not any(problems(ours)) else others
+    return {"dp3_adaptive 0.2.0 (this project)": ours, **others} if ours and not any(problems(ours)) else others
 
 
 def documents(folder: Path) -> dict[Path, str]:

@@ -3,7 +3,7 @@
 For each category: the dataset of a method's last training, and its checkpoint. The checkpoint's card has the results
 on seen, unseen and novel objects. After an interruption, the same command resumes. For example:
 
-    adamanip benchmark --config lerobot_adamanip/benchmark/default_policy.toml --scale test --methods corrected
+    adamanip benchmark --config lerobot_adamanip/benchmark/default_policy.toml --scale test --methods dp3_adaptive
     python scripts/publish.py --user you --dry-run
 """
 
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--user", required=True, help="user or organisation on the Hub")
     parser.add_argument("--benchmark", type=Path, default=Path("outputs/benchmark/test"), help="folder of a scale")
-    parser.add_argument("--method", default="corrected")
+    parser.add_argument("--method", default="dp3_adaptive")
     parser.add_argument("--name", default="dp3-adaptive", help="beginning of the policies' names")
     parser.add_argument("--seed", type=int, default=1000, help="of the trainings")
     parser.add_argument("--categories", type=list_of(tuple(CATEGORIES)), default=tuple(CATEGORIES))

@@ -17,20 +17,21 @@ from lerobot_adamanip.evaluation.results import read_results
 SHOWN: Mapping[str, tuple[str, str, str]] = {
     "control_rate": ("success", "control_rate.toml", "control_rate"),
     "control_rate_losses": ("losses", "control_rate.toml", "control_rate"),
-    "paper": ("success", "paper_table.toml", "paper"),
-    "paper_losses": ("losses", "paper_table.toml", "paper"),
-    "success": ("success", "default_policy.toml", "test"),
-    "tries": ("tries", "default_policy.toml", "test"),
+    "paper": ("success", "", "paper_0_2"),
+    "paper_losses": ("losses", "", "paper_0_2"),
+    "success": ("success", "", "test_0_2"),
+    "tries": ("tries", "", "test_0_2"),
 }
-"""Name -> plot of a report, declaration and scale."""
+"""Name -> plot of a report, declaration (none: beside the results) and scale."""
 WIDTH = 1500
 
 
 def main(here: Path) -> None:
     """Writes the pictures into a folder."""
     for name, (plot, declared, scale) in SHOWN.items():
-        results = read_results(Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale)
-        declaration = read_declaration(PAPER_TABLE.with_name(declared))
+        folder = Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale
+        results = read_results(folder)
+        declaration = read_declaration(PAPER_TABLE.with_name(declared) if declared else folder / "declaration.toml")
         report = make_report(results.values(), declaration, scale)
         with tempfile.TemporaryDirectory() as folder:
             pictures = {path.stem: path for path in plot_report(report, Path(folder))}

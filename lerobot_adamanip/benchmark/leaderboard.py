@@ -27,9 +27,9 @@ mkdir -p results/leaderboard/NAME && cp outputs/benchmark/test/cells/mine-*.json
 python scripts/make_results.py # writes this page; refuses files that are incomplete or of other scenes
 ```
 
-Train on demonstrations of seen objects alone, choose your method on validation scenes, and run the test scenes once. In
-this project's row two choices were made with test results at hand:
-[the head, and what counts as a failed try](benchmark.md#the-declaration).
+Train on demonstrations of seen objects alone, choose your method on validation scenes, and run the test scenes once.
+This project's row is of version 0.2.0. Its unseen and novel objects are others, and two choices were made with test
+results at hand: its head, and [what counts as a failed try](benchmark.md#the-declaration).
 """
 
 

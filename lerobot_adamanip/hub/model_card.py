@@ -25,10 +25,8 @@ _SUMMARIES = {
 _KEY_FRAME = "One action is one key frame: the arm is driven to the pose, or until it is stopped."
 _CONTACTS = "Past motions of its closed hand, and how far the arm followed them, tell it what has been tried."
 _METHODS = {
-    "fast": "It is no diffusion policy: it chooses a typical motion of its demonstrations and refines it.",
     "keyframe": "A diffusion policy: it chooses an anchor among the motions of its demonstrations, denoises around it, "
     "and refines the pose.",
-    "diffusion": "The method is the paper's, in the tool's frame: a diffusion policy, whose approaches are refined.",
     "dense": "The method is the paper's, in the tool's frame: a diffusion policy, in chunks of actions.",
     "dp3": "The method is 3D Diffusion Policy, without a history of actions.",
     "paper": "The method is the paper's: a diffusion policy, conditioned on observations and its past actions.",
@@ -50,8 +48,6 @@ _ROWS = {
     "num_inference_steps": ("sampling steps", "{}"),
 }
 """Policy option -> its name and format on a card."""
-_UNUSED = {"diffusion": ("num_anchors",)}
-"""Preset of dp3_adaptive -> options that a card leaves out."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -127,7 +123,7 @@ def _notes(config: Mapping[str, Any]) -> str:
     fps = config.get("control_fps")
     action = f"It acts at control rate, {fps} Hz." if fps else _KEY_FRAME
     first = f"{action} {_METHODS.get(preset, '')}".rstrip()
-    remembers = preset in ("fast", "keyframe", "diffusion", "dense") and config.get("n_action_history_steps")
+    remembers = preset in ("keyframe", "dense") and config.get("n_action_history_steps")
     return f"{first}\n{_CONTACTS}" if remembers else first
 
 
@@ -140,9 +136,7 @@ def _facts(checkpoint: Checkpoint) -> str:
     config = checkpoint.config
     rows = [(f"input `{key}`", _feature(key, each)) for key, each in (config.get("input_features") or {}).items()]
     rows += [(f"output `{key}`", _feature(key, each)) for key, each in (config.get("output_features") or {}).items()]
-    used = [
-        key for key in _ROWS if config.get(key) is not None and key not in _UNUSED.get(str(config.get("preset")), ())
-    ]
+    used = [key for key in _ROWS if config.get(key) is not None]
     rows += [(_ROWS[key][0], _ROWS[key][1].format(config[key])) for key in used]
     averaged = "" if checkpoint.updates is None else f"; averaged over {checkpoint.updates} updates"
     rows.append(("size", f"{checkpoint.parameters / 1e6:.1f} M parameters{averaged}"))

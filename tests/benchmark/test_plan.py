@@ -261,10 +261,12 @@ def test_what_a_step_reads_is_what_another_made() -> None:
 
 def test_results_that_are_kept_are_of_what_is_declared() -> None:
     """Keys hold commands: an option that is called otherwise now must not change them."""
-    declaration, folder = read_declaration(), Path(__file__).parents[2] / "results" / "benchmark" / "paper"
+    scale, root = "control_rate", Path(__file__).parents[2]
+    declaration = read_declaration(PAPER_TABLE.with_name(f"{scale}.toml"))
+    folder = root / "results" / "benchmark" / scale
     stored = {path.stem: json.loads(path.read_text())["run"]["options"] for path in folder.glob("*.json")}
     assert stored
-    keys = {each.name: options_key(each, declaration, "paper") for each in all_cells(declaration, "paper")}
+    keys = {each.name: options_key(each, declaration, scale) for each in all_cells(declaration, scale)}
     assert stored == {name: keys[name] for name in stored}
 
 

@@ -253,7 +253,7 @@ def _flat(stats: Values) -> Values:
 
 @functools.cache
 def _trained() -> tuple[Values, Values]:
-    """A batch of ``dp3_adaptive`` of preset ``fast``, and losses and actions of four training steps on it."""
+    """A batch of ``dp3_adaptive`` of preset ``keyframe``, and losses and actions of four training steps on it."""
     import torch
     from toy_demos import record_toy, toy_world
 
@@ -265,7 +265,7 @@ def _trained() -> tuple[Values, Values]:
     with tempfile.TemporaryDirectory() as folder, torch.random.fork_rng():
         root = record_toy(Path(folder) / "toy", [toy_world("bottle_000", seed) for seed in range(2)], "adaptive")
         torch.manual_seed(0)
-        policy, before, _, dataset = fixtures.build_policy("dp3_adaptive", root, preset="fast")
+        policy, before, _, dataset = fixtures.build_policy("dp3_adaptive", root, preset="keyframe")
         items = [dataset[index] for index in range(len(dataset))]
         batch = before(torch.utils.data.default_collate(items))
         window, labels, valid = policy.training_window(batch)

@@ -30,9 +30,7 @@ BASE_TINY: dict[str, Any] = {**COMMON_TINY, **UNET_TINY, "num_points": 32}
 OF_KEY_FRAMES = ("num_anchors", "num_refinements", "refinement_points")
 DP3_TINY: dict[str, dict[str, Any]] = {
     "dense": {**{name: value for name, value in TOOL_TINY.items() if name not in OF_KEY_FRAMES}, **UNET_TINY},
-    "fast": {**TOOL_TINY, "trunk_dim": 32},
     "keyframe": {**TOOL_TINY, "trunk_dim": 32},
-    "diffusion": {**TOOL_TINY, **UNET_TINY},
     "dp3": {**BASE_TINY, "n_obs_steps": 1, "n_action_history_steps": 8, "n_action_steps": 1},
     "paper": BASE_TINY,
 }
@@ -103,12 +101,10 @@ def make_tiny(adaptive_toy_root: Path) -> Callable[..., tuple[Any, ...]]:
     return lambda **changes: build_policy("dp3_adaptive", adaptive_toy_root, **changes)
 
 
-@pytest.fixture(params=["fast", "keyframe"])
-def make_anchors(
-    make_tiny: Callable[..., tuple[Any, ...]], request: pytest.FixtureRequest
-) -> Callable[..., tuple[Any, ...]]:
-    """As `make_tiny`, with each preset that draws from anchors."""
-    return lambda **changes: make_tiny(preset=request.param, **changes)
+@pytest.fixture
+def make_anchors(make_tiny: Callable[..., tuple[Any, ...]]) -> Callable[..., tuple[Any, ...]]:
+    """As `make_tiny`, of the preset keyframe."""
+    return lambda **changes: make_tiny(preset="keyframe", **changes)
 
 
 @pytest.fixture(scope="session")

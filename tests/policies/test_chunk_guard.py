@@ -54,7 +54,7 @@ def test_lerobots_rollout_and_policy_server_refuse_the_type(make: Any, tmp_path:
             build_rollout_context(wanted, Event())
 
 
-@pytest.mark.parametrize("options", [{"preset": "dp3", "n_obs_steps": 2}, {"preset": "fast"}], ids=str)
+@pytest.mark.parametrize("options", [{"preset": "dp3", "n_obs_steps": 2}, {"preset": "keyframe"}], ids=str)
 def test_without_a_history_of_actions_chunks_of_any_observations_are_given(
     make: Any, observations: Any, options: dict[str, Any]
 ) -> None:

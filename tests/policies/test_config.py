@@ -30,10 +30,10 @@ CONFIGS: tuple[Any, ...] = (VatMartConfig, SamplingConfig, AdaAffordConfig, DP3A
 AFFORDANCE = ("vat_mart", "sampling", "adaafford")
 every_method = pytest.mark.parametrize("method", [*AFFORDANCE, "dp3_adaptive"])
 DP3_TINY: dict[str, Any] = {
-    "num_points": 120, "encoder_dims": (16,), "preset": "fast", "device": "cpu", "push_to_hub": False,
+    "num_points": 120, "encoder_dims": (16,), "preset": "keyframe", "device": "cpu", "push_to_hub": False,
 }  # fmt: skip
 WRONG_UNET: list[dict[str, Any]] = [
-    {"horizon": 3}, {"horizon": 0}, {"n_action_steps": 5}, {"down_dims": (32, 32, 64, 64)}, {"down_dims": (30, 64)},
+    {"horizon": 3}, {"horizon": 0}, {"n_action_steps": 17}, {"down_dims": (32,) * 6}, {"down_dims": (30, 64)},
     {"down_dims": ()}, {"num_inference_steps": 101}, {"num_inference_steps": 0}, {"noise_scheduler_type": "nonsense"},
 ]  # fmt: skip
 WRONG: dict[str, list[dict[str, Any]]] = {
@@ -44,9 +44,10 @@ WRONG: dict[str, list[dict[str, Any]]] = {
     "dp3_adaptive": [
         {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
         {"num_refinements": -1}, {"inference": Inference(memory=False), "preset": "dp3"},
+        {"inference": Inference(temperature=0.0)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
-        {"n_obs_steps": 2, "preset": "diffusion"}, {"preset": "nonsense"},
-        *({**wrong, "preset": preset} for preset in ("diffusion", "dp3") for wrong in WRONG_UNET),
+        {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"},
+        *({**wrong, "preset": preset} for preset in ("dense", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip
 WRONG_FEATURES: list[tuple[dict[str, Any], str]] = [
@@ -107,7 +108,6 @@ def test_features_that_it_cannot_use_are_refused(refuses: Refuses, method: str) 
         if method == "dp3_adaptive" and "action" in wrong:
             check = lambda config=config: get_policy_class(method)(config)  # noqa: E731
         message = refuses(AdaManipError, check)
-        assert "preset=diffusion" not in message  # which is of no more use
         assert told in message
         assert method in message or "points" in message
 
@@ -176,12 +176,12 @@ def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
     dp3 = DP3AdaptiveConfig(preset="dp3", device="cpu")
     assert (dp3.n_obs_steps, dp3.horizon, dp3.n_action_steps, dp3.n_action_history_steps) == (2, 4, 3, 0)
     assert (dp3.observation_delta_indices, dp3.action_delta_indices) == ([-1, 0], None)
-    assert DP3AdaptiveConfig(preset="diffusion", device="cpu").observation_delta_indices is None
+    assert DP3AdaptiveConfig(preset="keyframe", device="cpu").observation_delta_indices is None
 
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
-    rules = Inference(memory=False) if preset in ("fast", "keyframe", "diffusion") else Inference()
+    rules = Inference(memory=False) if preset == "keyframe" else Inference()
     options: dict[str, Any] = {"encoder_dims": (8, 16), "inference": rules}
     config = DP3AdaptiveConfig(preset=preset, num_points=77, use_effort=True, device="cpu", tags=["a"], **options)
     shapes = {schema.POINT_CLOUD: (77, 3), schema.STATE: (24,), schema.EFFORT: (7,)}
@@ -196,9 +196,9 @@ def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> 
     changed = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--encoder_out_dim=7"])
     assert (changed.encoder_out_dim, changed.num_points) == (7, 77)
     other = next(name for name in PRESETS if name != preset)
-    if preset in ("fast", "keyframe", "diffusion"):
-        switched = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--inference.no_repeat=false"])
-        assert switched.inference == Inference(memory=False, no_repeat=False)
+    if preset == "keyframe":
+        switched = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--inference.no_repeat=true"])
+        assert switched.inference == Inference(memory=False, no_repeat=True)
     with pytest.raises(AdaManipError, match=rf"(?s)checkpoint's preset cannot be changed.*preset={other}"):
         PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=[f"--preset={other}"])
 

@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 import torch
 from dense_demos import dense_rows, key_frames, record_dense_toy
+from scipy.spatial.transform import Rotation
 from toy_demos import trained
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import DENSE
+from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_policy_adamanip.common import strokes
 from lerobot_policy_adamanip.common.contacts import Past
@@ -154,12 +156,38 @@ def test_the_baseline_learns_from_deltas_too(make: Make, tmp_path: Path, batch_o
     assert action.shape == (1, 7)
 
 
+def poses(rows: int, steps: int) -> torch.Tensor:
+    """Any poses (rows, steps, 10) within a metre."""
+    draw = np.random.default_rng(0)
+    turns = rotation_6d_from_matrix(Rotation.random(rows * steps, random_state=0).as_matrix())
+    parts = [draw.uniform(-0.5, 0.5, (len(turns), 3)), turns, draw.uniform(size=(len(turns), 1))]
+    return torch.from_numpy(np.concatenate(parts, axis=1)).float().reshape(rows, steps, 10)
+
+
+def test_a_chunk_is_decoded_as_it_was_encoded_and_any_values_become_poses(make: Make, batch_of: Any) -> None:
+    policy, before, _, dataset = make("dense")
+    window, actions, _ = policy.training_window(batch_of(dataset, before))
+    head, bound = policy.model, 4.0
+    assert head.encode(actions, window).abs().max() < bound
+    for chunk in (actions, poses(*actions.shape[:2])):
+        torch.testing.assert_close(head.decode(head.encode(chunk, window), window), chunk, rtol=0, atol=1e-5)
+    staying = head.encode(window.observations[schema.STATE][:, -1:, :10], window)
+    torch.testing.assert_close(staying[..., :3], torch.zeros(len(actions), 1, 3), rtol=0, atol=1e-4)
+    made = head.decode(bound * (2 * torch.rand_like(actions) - 1), window)
+    rows = made[..., 3:9].unflatten(-1, (2, 3))
+    torch.testing.assert_close(rows @ rows.mT, torch.eye(2).expand(*made.shape[:2], 2, 2), rtol=0, atol=1e-5)
+    assert ((made[..., 9] >= 0) & (made[..., 9] <= 1)).all()
+    # Of a short motion and a long one, the same error of a value is small relative to each.
+    near, far = (head.decode(staying + step * torch.eye(10)[2], window)[..., :3] for step in (0.1, 3.0))
+    start = window.observations[schema.STATE][:, -1:, :3]
+    assert ((far - start).norm(dim=-1) > 50 * (near - start).norm(dim=-1)).all()
+
+
 # Data that do not fit -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
-def test_presets_of_key_frames_refuse_data_at_control_rate(make: Make, refuses: Any, preset: str) -> None:
-    message = refuses(ConfigurationError, lambda: make(preset))
+def test_the_preset_of_key_frames_refuses_data_at_control_rate(make: Make, refuses: Any) -> None:
+    message = refuses(ConfigurationError, lambda: make("keyframe"))
     assert "needs key frames" in message
     assert "10 Hz" in message
     assert "--policy.preset=dense" in message
@@ -175,7 +203,7 @@ def test_macro_actions_refuse_data_at_control_rate(
 def test_the_dense_preset_refuses_key_frames(make: Make, adaptive_toy_root: Path, refuses: Any) -> None:
     message = refuses(ConfigurationError, lambda: make("dense", adaptive_toy_root))
     assert "control rate" in message
-    assert "--policy.preset=fast" in message
+    assert "--policy.preset=keyframe" in message
 
 
 def test_a_checkpoint_refuses_another_rate(make: Make, dense_root: Path, tmp_path: Path, refuses: Any) -> None:
@@ -213,6 +241,6 @@ def test_data_without_clouds_name_the_options_that_record_them(refuses: Any) -> 
 def test_rules_of_key_frames_cannot_be_switched_at_control_rate(refuses: Any) -> None:
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
-    assert DP3AdaptiveConfig(preset="dense", device="cpu", inference=Inference(memory=False)).inference.no_repeat
-    wrong = Inference(no_repeat=False)
-    refuses(AdaManipError, lambda: DP3AdaptiveConfig(preset="dense", device="cpu", inference=wrong))
+    assert not DP3AdaptiveConfig(preset="dense", device="cpu", inference=Inference(memory=False)).inference.memory
+    for wrong in (Inference(no_repeat=True), Inference(rules=True)):
+        refuses(AdaManipError, lambda wrong=wrong: DP3AdaptiveConfig(preset="dense", device="cpu", inference=wrong))

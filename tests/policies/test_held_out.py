@@ -15,7 +15,7 @@ from lerobot_policy_adamanip.common.inputs import balanced_weights, trained_epis
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 TRAINED = [0, 1, 2, 3]
-CASES = [("dp3_adaptive", {"preset": "fast"}), ("sampling", {})]
+CASES = [("dp3_adaptive", {"preset": "keyframe"}), ("sampling", {})]
 
 
 @pytest.fixture(scope="module")

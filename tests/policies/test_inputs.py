@@ -20,7 +20,7 @@ from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, RecordedRows, 
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 SHAPES: list[dict[str, Any]] = [
-    {"preset": "fast", "n_action_history_steps": 16},
+    {"preset": "keyframe", "n_action_history_steps": 16},
     {"preset": "dp3", "n_action_history_steps": 8, "horizon": 4},
     {"preset": "dp3", "n_action_history_steps": 0, "horizon": 4, "n_obs_steps": 2},
 ]
@@ -135,7 +135,7 @@ def test_an_augmentation_that_the_checkpoints_processor_lacks_is_refused(
         policy.forward(before(torch.utils.data.default_collate([dataset[row] for row in (3, 9)])))
 
 
-@pytest.mark.parametrize("shape", SHAPES[:2], ids=["fast", "dp3"])
+@pytest.mark.parametrize("shape", SHAPES[:2], ids=["keyframe", "dp3"])
 def test_history_and_labels_are_mirrored_with_the_scene(
     make_toy_policy: MakePolicy, corrected_root: Path, shape: dict[str, Any]
 ) -> None:

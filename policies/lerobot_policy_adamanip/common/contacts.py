@@ -1,7 +1,7 @@
-"""Contact events: past key frames that moved a closed hand. The learned memory reads no others.
+"""Contact events: past key frames that moved a closed hand, or closed it on nothing. The memory reads no others.
 
 A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
-Approaches, grasps and releases therefore leave no trace in the memory.
+Approaches, grasps that hold something and releases therefore leave no trace in the memory.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD, pushes
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
@@ -60,6 +60,14 @@ class Past:
         moves = pushes(shift, turn, motion[..., 2], opening, self.min_motion)
         closed = ~self.opens
         result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
+        return result
+
+    @cached_property
+    def missed(self) -> Tensor:
+        """Mask (B, H) of key frames at which an open hand closed in place and holds nothing."""
+        shift, opening = self.motions[0][..., :3].norm(dim=-1), self.poses[..., GRIPPER_DIM]
+        was_open, is_empty = opening[:, :-1] > OPEN_HAND, opening[:, 1:] < EMPTY_HAND
+        result: Tensor = self.valid & was_open & ~self.opens & is_empty & (shift < self.min_motion[0])
         return result
 
     @cached_property

@@ -63,7 +63,7 @@ class CloudPolicy(PreTrainedPolicy):
                 f"This policy needs {'key frames' if config.control == KEYFRAME else 'data at control rate'}.",
                 got=f"{'key frames' if fps is None else f'rows at {fps} Hz'} in {dataset_meta.root}",
                 allowed="one row per key frame" if config.control == KEYFRAME else f"rows at {listed(RATES)} Hz",
-                hint="--policy.type=dp3_adaptive --policy.preset=" + ("fast" if fps is None else "dense, or dp3"),
+                hint="--policy.type=dp3_adaptive --policy.preset=" + ("keyframe" if fps is None else "dense, or dp3"),
             )
         if is_trained and config.control_fps != fps:
             raise ConfigurationError(

@@ -26,8 +26,8 @@ class HeadMethod:
     """Fixed parts of a preset, which no option changes.
 
     Attributes:
-        head: network that draws actions: ``anchors`` (typical motions, refined), ``truncated`` (the same, denoised) or
-            ``diffusion`` (of chunks by a U-Net, the paper's).
+        head: network that draws actions: ``truncated`` (diffusion from anchors, typical motions) or ``diffusion`` (of
+            whole chunks by a U-Net, the paper's).
         frame: frame of clouds and actions: ``tool``, without normalisation, or ``base``, the robot's.
         encoder: ``mlp`` (DP3's PointNet) or ``pointnet2`` (the paper's).
         weight_decay: weight decay of AdamW.
@@ -51,17 +51,14 @@ class HeadMethod:
 
 
 METHODS = {
-    "fast": HeadMethod("anchors", "tool", weight_decay=1e-4),
     "keyframe": HeadMethod("truncated", "tool", weight_decay=1e-4),
-    "diffusion": HeadMethod("diffusion", "tool"),
     "dense": HeadMethod("diffusion", "tool", control=DENSE),
     "dp3": HeadMethod("diffusion", "base", step_embed_dim=128, control=None),
     "paper": HeadMethod("diffusion", "base", "pointnet2", prediction_type="epsilon", step_embed_dim=256, control=None),
 }
-"""``fast``: the head anchors, which is no diffusion. ``keyframe``: truncated diffusion from the same anchors, with the
-same memory and refinement. ``diffusion``: the paper's method with this project's tool frame, memory of contact events
-and refinement. ``dense``: that method at control rate, in longer chunks. Its memory merges steps into strokes, and it
-has neither refinement nor rules.
+"""``keyframe``: the paper's method with this project's truncated diffusion, tool frame, memory of contact events and
+refinement. ``dense``: the paper's diffusion at control rate, in longer chunks, in the tool's frame. Its memory merges
+steps into strokes, and it has neither refinement nor rules.
 
 ``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
 ``--policy.down_dims='[128,256,384]'`` gives the widths of the release's Simple DP3, which a CPU can train; LeRobot's
@@ -80,11 +77,7 @@ TOOL: dict[str, Any] = {
 OF_KEY_FRAMES = {"num_anchors", "num_refinements", "refinement_points"}
 """Those of them that are not used at control rate."""
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {**TOOL, "horizon": 1, "trunk_dim": 256},
     "keyframe": {**TOOL, "horizon": 1, "trunk_dim": 256, "num_inference_steps": 2},
-    "diffusion": {
-        **TOOL, "horizon": 4, "down_dims": (128, 256), "noise_scheduler_type": "DDIM", "num_inference_steps": 10,
-    },
     "dense": {
         **{name: value for name, value in TOOL.items() if name not in OF_KEY_FRAMES},
         "n_action_history_steps": 32, "horizon": 16, "n_action_steps": 8,
@@ -117,24 +110,32 @@ HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps"
 
 @dataclass
 class Inference:
-    """Switches of memory and rules at inference. They do not change training. Presets dp3 and paper use none."""
+    """Memory, sampling and rules at inference. They do not change training. Presets dp3 and paper use none."""
 
     # Use the learned memory of contact events.
     memory: bool = True
+    # Divides the scores of the anchors before one is drawn: below 1, unlikely motions are drawn less often.
+    temperature: float = 0.25
+    # Turn on all hand-written rules below. Without them, all that the policy does is learned.
+    rules: bool = False
     # Do not draw a motion that has failed, until something has moved.
-    no_repeat: bool = True
+    no_repeat: bool = False
     # Do not undo a step before anything was tried.
-    no_undo: bool = True
+    no_undo: bool = False
     # An open hand whose way is blocked backs off.
-    back_off: bool = True
+    back_off: bool = False
     # Draw only motions that demonstrations start with a hand in the present state (empty, holding, open).
-    hand_state_mask: bool = True
-    # Anchors of a probability below 0.03 are not drawn (fast, keyframe).
-    probability_floor: bool = True
-    # Draw again if the drawn action cannot be used: at most 4 draws (fast, keyframe), 8 draws (diffusion).
-    redraw: bool = True
+    hand_state_mask: bool = False
+    # Anchors of a probability below 0.03 are not drawn.
+    probability_floor: bool = False
+    # Draw again if the drawn action cannot be used: at most 4 draws.
+    redraw: bool = False
     # Swap the fingers of a refined grasp if the hand then turns less.
-    swap_fingers: bool = True
+    swap_fingers: bool = False
+
+    def uses(self, rule: str) -> bool:
+        """Returns whether a rule, named as its switch, is on."""
+        return self.rules or bool(getattr(self, rule))
 
 
 def from_preset() -> Any:
@@ -150,31 +151,30 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    # Preset, the defaults of the options below. For key frames: fast, keyframe or diffusion (at a size for two CPU
-    # cores). For control rate: dense. For both: dp3 or paper (as published).
-    preset: str = "fast"
+    # Preset, the defaults of the options below. For key frames: keyframe. For control rate: dense. Both are of a size
+    # for two CPU cores. For either: dp3 or paper (as published).
+    preset: str = "keyframe"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
-    # Switches of the memory and of each rule at inference (fast, keyframe and diffusion; dense has the memory alone).
+    # Memory, sampling and rules at inference (keyframe; dense has the memory alone).
     inference: Inference = field(default_factory=Inference)
 
-    # Observed steps, including the present one; 1 in the tool's frame (fast 1, keyframe 1, diffusion 1, dense 1, dp3 2,
-    # paper 4).
+    # Observed steps, including the present one; 1 in the tool's frame (keyframe 1, dense 1, dp3 2, paper 4).
     n_obs_steps: int = from_preset()
-    # Number of past actions in the policy's input, in dense of past strokes; 0 for none (fast 16, keyframe 16,
-    # diffusion 16, dense 32, dp3 0, paper 4).
+    # Number of past actions in the policy's input, in dense of past strokes; 0 for none (keyframe 16, dense
+    # 32, dp3 0, paper 4).
     n_action_history_steps: int = from_preset()
-    # Number of actions per chunk (fast 1, keyframe 1, diffusion 4, dense 16, dp3 4, paper 4).
+    # Number of actions per chunk (keyframe 1, dense 16, dp3 4, paper 4).
     horizon: int = from_preset()
-    # Number of actions executed before the next chunk (fast 1, keyframe 1, diffusion 1, dense 8, dp3 3, paper 2).
+    # Number of actions executed before the next chunk (keyframe 1, dense 8, dp3 3, paper 2).
     n_action_steps: int = from_preset()
-    # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (fast 1024, keyframe
-    # 1024, diffusion 1024, dense 1024, dp3 1024, paper 4096).
+    # Number of points used of each cloud: the first ones, as clouds are in farthest-point order (keyframe 1024, dense
+    # 1024, dp3 1024, paper 4096).
     num_points: int = from_preset()
-    # Widths of the encoder's layers (mlp) or levels (paper) (fast 64 128 192, keyframe 64 128 192, diffusion 64 128
-    # 192, dense 64 128 192, dp3 64 128 256, paper 64 128 256 512).
+    # Widths of the encoder's layers (mlp) or levels (paper) (keyframe 64 128 192, dense 64 128 192,
+    # dp3 64 128 256, paper 64 128 256 512).
     encoder_dims: tuple[int, ...] = from_preset()
-    # Number of features of a cloud (fast 128, keyframe 128, diffusion 128, dense 128, dp3 64, paper 128).
+    # Number of features of a cloud (keyframe 128, dense 128, dp3 64, paper 128).
     encoder_out_dim: int = from_preset()
     # Use the external joint torques as an input.
     use_effort: bool = False
@@ -182,40 +182,38 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     use_instruction: bool = False
     # Training only: weight rows so that all tasks have the same weight.
     balance_tasks: bool = False
-    # Use results of past actions as inputs: the undone motion, and the reached gripper opening (fast True, keyframe
-    # True, diffusion True, dense True).
+    # Use results of past actions as inputs: the undone motion, and the reached gripper opening (keyframe True, dense
+    # True).
     use_feedback: bool = from_preset()
     # Run time only: episodes in a row that share the history of actions, as --env.repeats=K plays one scene K times.
     memory_episodes: int = 1
-    # Size of the memory of contact events (fast 64, keyframe 64, diffusion 64, dense 64).
+    # Size of the memory of contact events (keyframe 64, dense 64).
     memory_dim: int = from_preset()
-    # Number of anchors, typical motions of the demonstrations. The head diffusion uses them to know which poses to
-    # refine (fast 32, keyframe 32, diffusion 32).
+    # Number of anchors, typical motions of the demonstrations, around which actions are denoised (keyframe 32).
     num_anchors: int = from_preset()
-    # Width of the layers after the cloud (fast 256, keyframe 256).
+    # Width of the layers after the cloud (keyframe 256).
     trunk_dim: int = from_preset()
-    # Number of first points used to choose a motion; refinement uses all points (fast 512, keyframe 512, diffusion 512,
-    # dense 512).
+    # Number of first points used to choose a motion; refinement uses all points (keyframe 512, dense 512).
     coarse_points: int = from_preset()
-    # Training only: size of a random subset of coarse_points (fast 320, keyframe 320, diffusion 320, dense 320).
+    # Training only: size of a random subset of coarse_points (keyframe 320, dense 320).
     training_points: int = from_preset()
-    # Refinement steps of the pose that an open hand approaches; 0 for none (fast 3, keyframe 3, diffusion 3).
+    # Refinement steps of the pose that an open hand approaches; 0 for none (keyframe 3).
     num_refinements: int = from_preset()
-    # Number of nearest points used by a refinement step (fast 128, keyframe 128, diffusion 128).
+    # Number of nearest points used by a refinement step (keyframe 128).
     refinement_points: int = from_preset()
-    # Channels of the U-Net's levels; the chunk is halved between levels (diffusion 128 256, dense 128 256, dp3 512 1024
-    # 2048, paper 256 512 1024).
+    # Channels of the U-Net's levels; the chunk is halved between levels (dense 128 256, dp3 512 1024 2048, paper 256
+    # 512 1024).
     down_dims: tuple[int, ...] | None = from_preset()
-    # Sampler: DDPM or DDIM (diffusion DDIM, dense DDIM, dp3 DDIM, paper DDPM).
+    # Sampler: DDPM or DDIM (dense DDIM, dp3 DDIM, paper DDPM).
     noise_scheduler_type: str = from_preset()
-    # Denoising steps per chunk at run time, at most 100 (keyframe 2, diffusion 10, dense 10, dp3 10, paper 100).
+    # Denoising steps per chunk at run time, at most 100 (keyframe 2, dense 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
     # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
     # that always turn the same way, such as lids and portafilters.
     augmentation_mirror: float = 0.0
-    # Learning rate of AdamW (fast 0.001, keyframe 0.001, diffusion 0.001, dense 0.001, dp3 0.0001, paper 0.0001).
+    # Learning rate of AdamW (keyframe 0.001, dense 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
-    # Warm-up steps to the full learning rate (fast 100, keyframe 100, diffusion 100, dense 100, dp3 500, paper 500).
+    # Warm-up steps to the full learning rate (keyframe 100, dense 100, dp3 500, paper 500).
     scheduler_warmup_steps: int = from_preset()
 
     def check(self) -> None:
@@ -255,7 +253,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         if self._has_unused_rules():
             foreign.append("inference")
         for name in foreign:
-            others = [preset for preset in PRESETS if name in PRESETS[preset]] or ["fast", "diffusion"]
+            others = [preset for preset in PRESETS if name in PRESETS[preset]] or ["keyframe"]
             raise self._error(
                 f"The preset {self.preset} does not use this option.",
                 (name,),
@@ -275,8 +273,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     def _check_sizes(self) -> None:
         fits = all(getattr(self, name) >= 1 for name in COUNTS if name in PRESETS[self.preset])
         fits = fits and len(self.encoder_dims) > 0 and (self.num_refinements or 0) >= 0
-        if "num_inference_steps" in PRESETS[self.preset]:
-            fits = fits and self.num_inference_steps <= TRAIN_TIMESTEPS
+        fits = fits and self.num_inference_steps <= TRAIN_TIMESTEPS
         if self.method.head == "diffusion":
             widths = tuple(self.down_dims or ())
             fits = fits and all(width > 0 and width % UNET_GROUPS == 0 for width in widths) and len(widths) > 0
@@ -292,6 +289,10 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             raise self._error(
                 "Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3"
             )
+        if not self.inference.temperature > 0.0:
+            raise self._error(
+                "Not a temperature.", ["inference"], "a number above 0", "--policy.inference.temperature=0.25"
+            )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")
 
@@ -306,12 +307,12 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 "n_obs_steps >= 1, n_action_history_steps >= 0",
                 "--policy.horizon=4 --policy.n_action_steps=1",
             )
-        one_action = self.method.head != "diffusion"
+        one_action = self.method.head == "truncated"
         if self.method.frame == "tool" and (self.n_obs_steps != 1 or (one_action and self.horizon != 1)):
             raise self._error(
-                "The tool's frame uses one cloud, and the presets fast and keyframe draw one action.",
+                "The tool's frame uses one cloud, and the preset keyframe draws one action.",
                 ("n_obs_steps", "horizon"),
-                "n_obs_steps=1, and horizon=1 for fast and keyframe; n_action_history_steps is the history's length",
+                "n_obs_steps=1, and horizon=1 for keyframe; n_action_history_steps sets the length of the history",
                 "--policy.preset=dp3",
             )
 

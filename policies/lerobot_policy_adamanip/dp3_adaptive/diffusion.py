@@ -1,7 +1,7 @@
 """The diffusion heads: LeRobot's conditional U-Net denoises a chunk of actions (paper, section 4.2 and eq. 2).
 
 `BaseDiffusionHead` is the paper's and DP3's, in the robot's base frame. `MemoryDiffusionHead` works in the tool's frame
-with contact events, for control rate. `ToolDiffusionHead` adds redraws and refinement, for key frames.
+with contact events, for control rate.
 """
 
 from __future__ import annotations
@@ -28,17 +28,16 @@ from lerobot_adamanip.contract.schema import (
 )
 from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import ContactMemory, Past
+from lerobot_policy_adamanip.common.contacts import ContactMemory
 from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
-from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import (
     TRAIN_TIMESTEPS,
     UNET_GROUPS,
     DP3AdaptiveConfig,
 )
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead, TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead
 
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; demonstrations are within 1."""
@@ -230,64 +229,3 @@ class MemoryDiffusionHead(ToolHead, DiffusionHead):
         """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise."""
         condition = self.condition(window, use_memory=self.config.inference.memory)
         return self.decode(self.denoise(condition, noise), window)
-
-
-class ToolDiffusionHead(MemoryDiffusionHead):
-    """The head for key frames: with typical motions, redraws and refinement too."""
-
-    DRAWS = 8
-    MIN_MOTION = ToolHead.MIN_MOTION
-
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
-        super().__init__(config)
-        self.motions = TypicalMotions(config.num_anchors)
-        self.refiner = self.make_refiner(config)
-
-    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns the denoising error per sample (B,) with the refiner's loss, its weight (B,), and its parts."""
-        error, weight, _ = super().loss(window, actions, is_label)
-        if self.refiner is None:
-            return error, weight, {}
-        goal = actions[:, 0]
-        index = self.motions.nearest(geometry.motion_between(goal, self.tool(window)))
-        refinement = self.refinement_loss(window, goal, index) * is_label[:, 0]
-        parts = {"denoising_loss": error.detach().mean(), "refinement_loss": refinement.detach().mean()}
-        return error + refinement, weight, parts
-
-    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, T, 10) from ``noise`` (B, T, 10); None draws the noise.
-
-        A chunk whose first action cannot be used is drawn again, up to `DRAWS` draws. If all draws fail, the first one
-        counts. But if all are useless with the present grip (`rules.Limits`), the hand lets go.
-        """
-        inference = self.config.inference
-        past = self.past(window) if self.memory is not None else None
-        condition = self.condition(window, use_memory=inference.memory)
-        chunks, usable, useless = self._draw(window, condition, past, noise)
-        for _ in range(self.DRAWS - 1 if inference.redraw else 0):
-            if bool(usable.all()):
-                break
-            others, fits, again = self._draw(window, condition, past, None)
-            better = (fits & ~usable) | (useless & ~again)
-            chunks = torch.where(better[:, None, None], others, chunks)
-            usable, useless = usable | fits, useless & again
-        released = geometry.with_gripper(self.tool(window), 1.0)[:, None]
-        chunks = torch.where(useless[:, None, None], released, chunks)
-        return rules.back_off(inference, past, chunks)
-
-    def _draw(
-        self, window: Window, condition: Tensor, past: Past | None, noise: Tensor | None
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        """Returns chunks (B, T, 10) with a refined first action, whether they are usable, and whether useless (B,).
-
-        Useless are motions of a closed hand that have failed with its grip, or for which it has none.
-        """
-        chunk = self.decode(self.denoise(condition, noise), window)
-        tool = self.tool(window)
-        motion = geometry.motion_between(chunk[:, 0], tool)
-        index = self.motions.nearest(motion)
-        first, held = self.refine(window, index, chunk[:, 0])
-        shown = self.motions.shown_from(index[:, None], tool)
-        limits = rules.limit_motions(self.config.inference, motion[:, None], shown, past)
-        rejected = (limits.rejected | limits.undoing)[:, 0]
-        return torch.cat([first[:, None], chunk[:, 1:]], dim=1), held & ~rejected, limits.useless[:, 0]

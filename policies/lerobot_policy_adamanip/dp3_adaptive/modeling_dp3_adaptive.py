@@ -2,9 +2,9 @@
 
 Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
 a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from its own
-history. `AnchorHead`, the default, draws a typical motion of the demonstrations and refines it. Start with
-`select_action` and `AnchorHead.sample`. Read on in `tool_head` (inputs, typical motions, refinement), `rules` (rules at
-inference), `common.contacts` (past key frames and memory) and `diffusion` (the paper's heads).
+history. `TruncatedHead`, the default, denoises around a typical motion of the demonstrations. Start with
+`select_action` and `TruncatedHead.sample`. Read on in `tool_head` (inputs), `rules` (at inference), `common.contacts`
+(past key frames and memory) and `diffusion` (the heads for chunks of actions).
 """
 
 import copy
@@ -12,10 +12,9 @@ from collections import deque
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from lerobot.lerobot_types import TransitionKey
 from lerobot.processor import NormalizerProcessorStep, create_transition
-from torch import Tensor, nn
+from torch import Tensor
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import DENSE
@@ -27,7 +26,6 @@ from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions,
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import AnchoredHead
 from lerobot_policy_adamanip.dp3_adaptive.truncated import TruncatedHead
 
 EMA_POWER, EMA_MAX = 0.75, 0.9999
@@ -82,15 +80,12 @@ class DP3AdaptivePolicy(CloudPolicy):
         self.reset()
 
     def _make_head(self, stats: schema.Statistics | None) -> Any:
-        if self.config.method.head == "anchors":
-            return AnchorHead(self.config)
         if self.config.method.head == "truncated":
             return TruncatedHead(self.config)
         from lerobot_policy_adamanip.dp3_adaptive import diffusion  # imports diffusers
 
         if self._sees_from_tool:
-            kind = diffusion.ToolDiffusionHead if self.config.method.has_rules else diffusion.MemoryDiffusionHead
-            return kind(self.config)
+            return diffusion.MemoryDiffusionHead(self.config)
         return diffusion.BaseDiffusionHead(self.config, stats)
 
     @classmethod
@@ -137,7 +132,7 @@ class DP3AdaptivePolicy(CloudPolicy):
     # Training: batch -> window -> loss ------------------------------------------------------------------------------
 
     def forward(self, batch: dict[str, Tensor], reduction: str = "mean") -> tuple[Tensor, dict]:
-        """Returns the head's loss (with ``diffusion``: paper, eq. 2) over valid labels, and metrics.
+        """Returns the head's loss (paper, eq. 2) over valid labels, and metrics.
 
         Args:
             batch: normalised, with S = n_obs_steps: ``observation.point_cloud`` (B, N, 3) metres,
@@ -318,69 +313,3 @@ class DP3AdaptivePolicy(CloudPolicy):
         observation = self._observations(batch)
         cloud = observation[schema.POINT_CLOUD]
         return {**observation, schema.POINT_CLOUD: cloud[None] if cloud.dim() == 2 else cloud}
-
-
-class AnchorHead(AnchoredHead):
-    """The head ``anchors``: draws one of the demonstrations' typical motions, adds a residual and refines the pose.
-
-    Motions in contact are millimetres long, approaches decimetres. Motions are clustered (k-means, as in Behavior
-    Transformers), and the network classifies the next cluster, which keeps the two directions of a knob apart. The
-    residual's unit is the spread of its cluster, so its error is small relative to the motion. It is no diffusion.
-
-    The memory changes only the choice, and only after a contact event. Before one, the logits are those of a network
-    without a history. The rules act before a contact event, too.
-    """
-
-    def add_residuals(self, width: int) -> None:
-        """Adds a layer that gives each anchor a residual."""
-        self.residuals = nn.Linear(width, self.config.num_anchors * geometry.MOTION_DIM)
-
-    def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
-        """Returns logits (B, K) and residuals (B, K, 7) without memory, and what the memory adds to the logits."""
-        features = torch.cat([self.encoder(self.point_inputs(window)), self.body_inputs(window)], dim=-1)
-        features = self.trunk(features)
-        logits, residuals = self.logits(features), self.residuals(features).reshape(-1, *self.motions.anchors.shape)
-        if self.memory is None:
-            return logits, residuals, None
-        past = self.past(window)
-        return logits, residuals, self.memory(features, past.events(feedback=self.config.use_feedback), past.contact)
-
-    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Returns the losses of choice, memory, residual and refinement; labels are poses (B, 1, 10)."""
-        motions, goal = self.motions, actions[:, 0]
-        motion = geometry.motion_between(goal, window.observations[schema.STATE][:, -1, : schema.ACTION_DIM])
-        index = motions.nearest(motion)
-        logits, residuals, added = self(window)
-        losses = {"choice_loss": F.cross_entropy(logits, index, reduction="none")}
-        if added is not None:
-            # Trains the memory alone: the choice without it must not depend on it.
-            losses["memory_loss"] = F.cross_entropy(logits.detach() + added, index, reduction="none")
-        target = (motion - motions.anchors[index]) / motions.spread[index]
-        predicted = residuals[torch.arange(len(index), device=index.device), index]
-        losses["residual_loss"] = F.smooth_l1_loss(predicted, target, reduction="none").mean(dim=-1)
-        if self.refiner is not None:
-            losses["refinement_loss"] = self.refinement_loss(window, goal, index)
-        total = torch.stack(list(losses.values())).sum(dim=0)
-        return total, is_label[:, 0].to(total.dtype), {name: loss.detach().mean() for name, loss in losses.items()}
-
-    def sample(self, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor.
-
-        An anchor whose approach ends at nothing is masked, and another one drawn, up to `DRAWS` draws. If all draws
-        fail, the first one counts.
-        """
-        inference, motions, tool = self.config.inference, self.motions, self.tool(window)
-        logits, residuals, added = self(window)
-        logits, drawn = logits.float(), motions.anchors + residuals.float() * motions.spread
-        if added is not None and inference.memory:
-            logits = logits + added.float()
-        return self.choose(window, logits, drawn, self._noises(len(tool), noise, logits))
-
-    def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> Tensor:
-        """Returns uniform numbers (B, draws), beginning with those of ``noise``."""
-        draws = self.DRAWS if self.config.inference.redraw else 1
-        noises = torch.rand(count, draws, device=like.device)
-        if noise is None:
-            return noises
-        first = noise.reshape(count, -1)[:, :draws]
-        return torch.cat([first, noises[:, first.shape[1] :]], dim=1)

@@ -1,6 +1,6 @@
 """Hand-written rules that act at inference, beside the trained network.
 
-Each rule has a switch in `configuration_dp3_adaptive.Inference`. `AnchoredHead.choose` applies them in this order:
+Each rule has a switch in `configuration_dp3_adaptive.Inference`. `TruncatedHead.sample` applies them in this order:
 hand-state mask, no repeat, no undo, fall-back if no motion is left, probability floor, swapped fingers, redraws (a loop
 of the head), backing off.
 """
@@ -53,11 +53,11 @@ def limit_motions(rules: Inference, motions: Tensor, shown: Tensor, past: Past |
 
     ``shown`` (B, K) is whether demonstrations start the motions with a hand in the present state, see `hand_state`.
     """
-    never = ~shown if rules.hand_state_mask else torch.zeros_like(shown)
+    never = ~shown if rules.uses("hand_state_mask") else torch.zeros_like(shown)
     failed, failed_now, undoing = (torch.zeros_like(never) for _ in range(3))
-    if past is not None and rules.no_repeat:
+    if past is not None and rules.uses("no_repeat"):
         failed, failed_now = repeats_failure(past, motions)
-    if past is not None and rules.no_undo:
+    if past is not None and rules.uses("no_undo"):
         undoing = undoes_step(past, motions)
     return Limits(never | failed, never | failed_now, undoing)
 
@@ -155,7 +155,7 @@ def allowed_probabilities(probabilities: Tensor, rejected: Tensor, useless: Tens
 
 def draw_anchor(rules: Inference, probabilities: Tensor, noise: Tensor) -> Tensor:
     """Draws indices (B,) from probabilities (B, K) by uniform noise (B,), after masking those below the floor."""
-    floor = MIN_PROBABILITY if rules.probability_floor else 0.0
+    floor = MIN_PROBABILITY if rules.uses("probability_floor") else 0.0
     unlikely = (probabilities < floor) & (probabilities < probabilities.amax(dim=-1, keepdim=True))
     cumulative = probabilities.masked_fill(unlikely, 0.0).cumsum(dim=-1)
     draw = noise[:, None].to(cumulative.dtype) * cumulative[:, -1:]
@@ -169,7 +169,7 @@ def swap_fingers(rules: Inference, refined: Tensor, chosen: Tensor, tool: Tensor
     The turn is measured against the ``chosen`` pose, which is seldom wrong by more than a quarter turn, and against the
     hand: half a turn more is often out of the arm's reach.
     """
-    if not rules.swap_fingers:
+    if not rules.uses("swap_fingers"):
         return refined
     swapped = geometry.fingers_swapped(refined)
     grasps, others = torch.stack([refined, swapped])[:, None], torch.stack([chosen, tool])
@@ -179,7 +179,7 @@ def swap_fingers(rules: Inference, refined: Tensor, chosen: Tensor, tool: Tensor
 
 def back_off(rules: Inference, past: Past | None, actions: Tensor) -> Tensor:
     """Returns actions (B, T, 10); an open hand whose way is blocked backs off from the present pose instead."""
-    if past is None or not rules.back_off:
+    if past is None or not rules.uses("back_off"):
         return actions
     blocked = is_blocked(past)
     if surely_none(blocked):

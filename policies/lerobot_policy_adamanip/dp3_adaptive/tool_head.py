@@ -1,29 +1,17 @@
-"""Base of the heads in the tool's frame: their inputs, typical motions, and refinement of the approaches among them.
-
-A network that encodes a whole cloud locates a handle only to centimetres. In the frame of a proposed pose, the points
-around it look the same wherever the object stands, and each demonstrated goal gives any number of training poses. So a
-`Refiner` corrects the pose of an approach from the points near it. The method is pose denoising that starts at an
-anchor instead of at noise, as in truncated diffusion.
-"""
+"""Base of the heads in the tool's frame: their inputs."""
 
 from __future__ import annotations
 
 from typing import ClassVar
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor, nn
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND
-from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
+from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, STATE
 from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import ChoiceMemory, Past, surely_none
-from lerobot_policy_adamanip.common.encoders import PointNetEncoder
-from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
+from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.inputs import Window
-from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
-from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
 
@@ -35,62 +23,25 @@ POINT_NOISE_M = 0.002
 """Standard deviation of noise on points in training."""
 EFFORT_UNIT = 20.0
 """Unit of joint torques [N m]."""
-MIN_TRANSLATION_M = 0.02
-"""Least length of an approach that is refined."""
-MIN_ENDPOINT_SPREAD_M = 0.006
-"""An anchor's approaches are refined if their end points have a larger standard deviation."""
-MIN_START_SHARE = 0.05
-"""Share of a motion's demonstrations that start in a state of the hand, above which it is drawn in that state."""
-
-CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
-"""Units of a `_correction` [m, m, m, rad, rad, -, -]."""
-CENTRE = (0.0, 0.0, 0.04)
-"""Centre of the nearest points, in a proposed tool's frame [m]: the part is ahead of the fingers."""
-NEAR_UNIT, NEAR_DIRECTION_SCALE = 0.1, 0.02
-"""Units of `geometry.point_features` near a pose [m]."""
-PROPOSAL_NOISE_M, PROPOSAL_NOISE_RAD = 0.03, 0.15
-"""Largest standard deviation of proposals in training."""
-TWIST_PROBABILITY = 0.5
-"""Share of proposals that are also turned about the approach by any angle. Whether a lever lies or stands is visible
-only from nearby, and fingers that close along it hold nothing."""
-PROPOSALS_PER_GOAL = 4
-"""Number of proposals near each goal: few rows of a batch need refinement, and this network is small. One more is
-elsewhere on the cloud, where there is nothing to hold."""
-ELSEWHERE_M = 0.08
-"""Least distance from the goal of a proposal elsewhere."""
-NEAR_NOISE_M = 0.001
-"""Standard deviation of the noise on points near a pose in training."""
-REACH_M = 0.1
-"""Largest shift by refinement; a pose that would shift further has nothing to hold."""
 
 
 class ToolHead(nn.Module):
-    """Base class of the heads in the tool's frame: inputs and refinement. States and actions are poses.
+    """Base class of the heads in the tool's frame. States and actions are poses.
 
     A head's ``loss(window, actions, is_label)`` returns a loss per sample (B,), its weight (B,), and its parts as
     metrics, for labels ``actions`` (B, T, A) where ``is_label`` (B, T) is true. ``sample(window, noise)`` draws actions
     (B, T, A).
     """
 
-    DRAWS: ClassVar[int]
-    """Maximum number of draws of an action, if the drawn ones cannot be used."""
     MIN_MOTION: ClassVar = (MIN_SHIFT_M, MIN_TURN_RAD)
     """Least motion of a contact event [m, rad]."""
     config: DP3AdaptiveConfig
-    motions: TypicalMotions
-    refiner: Refiner | None
     memory: nn.Module | None
 
     @staticmethod
     def body_dim(config: DP3AdaptiveConfig) -> int:
         """Returns the number of `body_inputs`."""
         return 4 + (config.feature_size(EFFORT) if config.use_effort else 0) + instruction_dim(config)
-
-    @staticmethod
-    def make_refiner(config: DP3AdaptiveConfig) -> Refiner | None:
-        """Returns an untrained refiner, if the policy uses one."""
-        steps = config.num_refinements
-        return Refiner(steps, config.refinement_points, instruction_dim(config)) if steps else None
 
     def tool(self, window: Window) -> Tensor:
         """Returns the present tool poses (B, 10)."""
@@ -121,282 +72,9 @@ class ToolHead(nn.Module):
         body = [geometry.upwards(tool), tool[:, GRIPPER_DIM:]]
         if self.config.use_effort:
             body.append(window.observations[EFFORT][:, -1] / EFFORT_UNIT)
-        return torch.cat([*body, self._instruction(window)], dim=-1)
+        return torch.cat([*body, self.instruction(window)], dim=-1)
 
-    def _instruction(self, window: Window) -> Tensor:
+    def instruction(self, window: Window) -> Tensor:
         """Returns the instruction as a vector (B, 64), or (B, 0) for a policy that does not use it."""
         unused = window.observations[STATE][:, :, :0]
         return window.observations.get(INSTRUCTION, unused)[:, -1]
-
-    def refinement_loss(self, window: Window, goal: Tensor, index: Tensor) -> Tensor:
-        """Returns the refiner's loss (B,) for goals (B, 10), zero where the anchor (B,) needs no refinement."""
-        assert self.refiner is not None
-        needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
-        return self.refiner.loss_where(needed, cloud, goal, self._instruction(window))
-
-    def refine(self, window: Window, index: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10), refined where anchors (B,) need it, and whether they can be used (B,).
-
-        An approach cannot be used if there is nothing to hold at its end.
-        """
-        needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
-        if self.refiner is None:
-            return pose, torch.ones_like(needed)
-        refined, usable = self.refiner.refine_where(needed, cloud, pose, self._instruction(window))
-        refined = rules.swap_fingers(self.config.inference, refined, pose, self.tool(window))
-        return torch.where(needed[:, None], refined, pose), usable
-
-
-class AnchoredHead(ToolHead):
-    """Base class of the heads that choose among typical motions: `AnchorHead` and `truncated.TruncatedHead`."""
-
-    DRAWS = 4
-
-    def __init__(self, config: DP3AdaptiveConfig) -> None:
-        super().__init__()
-        self.config = config
-        self.motions = TypicalMotions(config.num_anchors)
-        self.encoder = PointNetEncoder(POINT_DIM, config.encoder_dims, config.encoder_out_dim)
-        features, width = config.encoder_out_dim + self.body_dim(config), config.trunk_dim
-        self.trunk = nn.Sequential(nn.Linear(features, width), nn.ReLU(), nn.Linear(width, width), nn.ReLU())
-        self.logits = nn.Linear(width, config.num_anchors)
-        self.add_residuals(width)
-        self.refiner = self.make_refiner(config)
-        # Last, so that the weights above start as those of a network without a memory.
-        self.memory = (
-            ChoiceMemory(config.memory_dim, config.trunk_dim, config.num_anchors)
-            if config.n_action_history_steps
-            else None
-        )
-        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
-
-    def add_residuals(self, width: int) -> None:
-        """Adds the layers of the anchors' residuals, after features of this width."""
-        raise NotImplementedError
-
-    def choose(self, window: Window, logits: Tensor, drawn: Tensor, noises: Tensor) -> Tensor:
-        """Draws actions (B, 1, 10) among motions (B, K, 7) by logits (B, K) and uniform noises (B, draws).
-
-        An anchor whose approach ends at nothing is masked, and another one drawn. If all draws fail, the first counts.
-        """
-        inference, motions, tool = self.config.inference, self.motions, self.tool(window)
-        past = self.past(window) if self.memory is not None else None
-        every = torch.arange(logits.shape[1], device=logits.device)
-        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
-        logits, rejected = logits - rules.UNDO_PENALTY * limits.undoing, limits.rejected
-        opens = motions.anchors[:, -1] >= CLOSED_HAND
-        rows = torch.arange(len(tool), device=tool.device)
-        chosen, done = None, torch.zeros_like(rejected[:, 0])
-        for draw_noise in noises.unbind(dim=1):
-            allowed = rules.allowed_probabilities(logits.softmax(dim=-1), rejected, limits.useless, opens)
-            index = rules.draw_anchor(inference, allowed, draw_noise)
-            motion = drawn[rows, index]
-            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
-            pose, usable = self.refine(window, index, pose)
-            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
-            done = done | usable
-            if bool(done.all()):
-                break
-            # In rows that have a usable action, nothing more is masked.
-            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
-        assert chosen is not None
-        return rules.back_off(inference, past, chosen[:, None])
-
-
-class TypicalMotions(nn.Module):
-    """Centres of the demonstrated motions' clusters, as in Behavior Transformers.
-
-    Attributes:
-        anchors: (K, 7) motions in the tool's frame [m, rad, -].
-        spread: (K, 7) standard deviations; zero before `fit`.
-        starts: (K, 3) bool, whether demonstrations start the motion with a hand in each `rules.hand_state`.
-    """
-
-    anchors: Tensor
-    spread: Tensor
-    starts: Tensor
-
-    def __init__(self, count: int) -> None:
-        super().__init__()
-        self.register_buffer("anchors", torch.zeros(count, geometry.MOTION_DIM))
-        self.register_buffer("spread", torch.zeros(count, geometry.MOTION_DIM))
-        self.register_buffer("starts", torch.ones(count, 3, dtype=torch.bool))
-
-    def fit(self, motions: Tensor, openings: Tensor) -> None:
-        """Fits the anchors to demonstrated motions (M, 7), of hands with measured openings (M,) at their start."""
-        anchors, spread = cluster_motions(motions.numpy(), len(self.anchors))
-        self.anchors.copy_(anchors)
-        self.spread.copy_(spread)
-        states = F.one_hot(rules.hand_state(openings), 3).float()
-        shown = F.one_hot(self.nearest(motions), len(anchors)).float().T @ states
-        self.starts.copy_(shown > MIN_START_SHARE * shown.sum(dim=1, keepdim=True))
-        self.starts[:, 0] |= anchors[:, -1] >= CLOSED_HAND  # an empty hand may also open
-
-    def nearest(self, motion: Tensor) -> Tensor:
-        """Returns the index (...) of the nearest anchor of each motion (..., 7)."""
-        difference = (motion[..., None, :] - self.anchors) / geometry.constant(geometry.MOTION_UNITS, motion)
-        return difference.square().sum(dim=-1).argmin(dim=-1)
-
-    def needs_refinement(self, index: Tensor) -> Tensor:
-        """Returns whether anchors (...) are approaches of an open hand whose end points vary.
-
-        A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
-        """
-        approaches = (self.anchors[:, -1] > CLOSED_HAND) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
-        varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
-        return varying[index]
-
-    def shown_from(self, index: Tensor, tool: Tensor) -> Tensor:
-        """Returns (B, K) whether demonstrations start anchors (B, K) with a hand in the state of tools (B, 10)."""
-        return self.starts[index, rules.hand_state(tool[:, GRIPPER_DIM])[:, None]]
-
-
-class Refiner(nn.Module):
-    """Network that predicts, from the points near a pose, its correction and whether there is something to hold.
-
-    Its inputs exclude the chosen motion and the hand's pose: in training both are exact and would reveal the goal. They
-    include the instruction (B, I), if policies use it: what there is to hold depends on the task.
-
-    Args:
-        steps: number of corrections at run time.
-        neighbours: number of points near a pose that it sees.
-        instruction_dim: length of the instruction; 0 without one.
-    """
-
-    def __init__(self, steps: int, neighbours: int, instruction_dim: int = 0) -> None:
-        super().__init__()
-        self.steps, self.neighbours = steps, neighbours
-        self.encoder = PointNetEncoder(POINT_DIM, (64, 128), 128)
-        layers = (nn.Linear(128 + instruction_dim, 128), nn.ReLU(), nn.Linear(128, 128), nn.ReLU(), nn.Linear(128, 8))
-        self.out = nn.Sequential(*layers)
-
-    def forward(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns corrections (B, 7) of poses (B, 10) in clouds (B, N, 3) [m], and logits (B,) of something to hold.
-
-        Corrections are in `CORRECTION_UNITS`.
-        """
-        points = geometry.points_seen(cloud, pose)
-        distance = (points - geometry.constant(CENTRE, points)).norm(dim=-1)
-        nearest = distance.topk(min(self.neighbours, points.shape[1]), dim=1, largest=False).indices
-        points = points.gather(1, nearest[..., None].expand(-1, -1, 3))
-        if self.training:
-            points = points + NEAR_NOISE_M * torch.randn_like(points)
-        features = self.encoder(geometry.point_features(points, NEAR_UNIT, NEAR_DIRECTION_SCALE))
-        out = self.out(torch.cat([features, instruction], dim=-1)).float()
-        return out[:, :7], out[:, 7]
-
-    def loss_where(self, needed: Tensor, cloud: Tensor, goal: Tensor, instruction: Tensor) -> Tensor:
-        """Returns the loss (B,) for goals (B, 10) in clouds (B, N, 3); zero where not ``needed`` (B,)."""
-        rows = _rows_to_compute(needed)
-        loss = self.loss(cloud[rows], goal[rows], instruction[rows]) * needed[rows]
-        return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
-
-    def refine_where(self, needed: Tensor, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10), refined where ``needed`` (B,), and whether they can be used (B,)."""
-        usable = torch.ones_like(needed)
-        if surely_none(needed):
-            return pose, usable
-        rows = _rows_to_compute(needed)
-        refined, held = self.refined(cloud[rows], pose[rows], instruction[rows])
-        pose = torch.where(needed[:, None], pose.index_copy(0, rows, refined), pose)
-        return pose, usable.index_copy(0, rows, held) | ~needed
-
-    def loss(self, cloud: Tensor, goal: Tensor, instruction: Tensor) -> Tensor:
-        """Returns the error (B,) of corrections and logits, from proposals around the demonstrated goals (B, 10)."""
-        rows = torch.arange(len(goal), device=goal.device)
-        near = rows.repeat_interleave(PROPOSALS_PER_GOAL)
-        proposed = geometry.pose_after(sample_proposals(goal[near]), goal[near])
-        target = _correction(goal[near], proposed) / geometry.constant(CORRECTION_UNITS, goal)
-        elsewhere, far = sample_elsewhere(cloud, goal)
-        both = torch.cat([near, rows])
-        correction, logit = self(cloud[both], torch.cat([proposed, elsewhere]), instruction[both])
-        error = F.smooth_l1_loss(correction[: len(near)], target, reduction="none").mean(dim=-1)
-        is_near = torch.cat([torch.ones_like(error), torch.zeros_like(far)])
-        held = F.binary_cross_entropy_with_logits(logit, is_near, reduction="none")
-        error = error + held[: len(near)] / 2
-        wrong = far * held[len(near) :] / 2
-        return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1) + wrong
-
-    def refined(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10) after ``steps`` corrections, and whether there is something to hold (B,).
-
-        There is nothing to hold if the total shift exceeds `REACH_M`; the shift is then cut there. The gripper stays.
-        """
-        start, logit = pose, torch.zeros_like(pose[:, 0])
-        for _ in range(self.steps):
-            correction, logit = self(cloud, pose, instruction)
-            pose = _corrected(pose, correction * geometry.constant(CORRECTION_UNITS, pose))
-        shift = pose[:, POSITION_DIMS] - start[:, POSITION_DIMS]
-        length = shift.norm(dim=-1, keepdim=True)
-        kept = start[:, POSITION_DIMS] + shift * (REACH_M / length.clamp(min=REACH_M))
-        pose = torch.cat([kept, pose[:, POSITION_DIMS.stop :]], dim=-1)
-        return pose, (logit >= 0) & (length.squeeze(-1) < REACH_M)
-
-
-def _rows_to_compute(needed: Tensor) -> Tensor:
-    """Returns the rows (R,) of (B,) bool to compute: on a GPU all, which is cheaper than a synchronisation.
-
-    At least one, to be given zero weight: thus every weight has a gradient in every step.
-    """
-    if needed.device.type != "cpu":
-        return torch.arange(len(needed), device=needed.device)
-    rows = needed.nonzero().squeeze(-1)
-    return rows if len(rows) else rows.new_zeros(1)
-
-
-def sample_elsewhere(cloud: Tensor, goal: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns proposals (B, 10) at random points of clouds (B, N, 3) [m], and whether they are far from goals (B,).
-
-    They are turned from the goals (B, 10) as other proposals are.
-    """
-    index = torch.randint(cloud.shape[1], (len(goal),), device=goal.device)
-    place = cloud[torch.arange(len(goal), device=goal.device), index]
-    turned = geometry.pose_after(sample_proposals(goal), goal)
-    at = turned[:, POSITION_DIMS] - goal[:, POSITION_DIMS] + place
-    far = (at - goal[:, POSITION_DIMS]).norm(dim=-1) > ELSEWHERE_M
-    return torch.cat([at, turned[:, POSITION_DIMS.stop :]], dim=-1), far.to(goal.dtype)
-
-
-def sample_proposals(goal: Tensor) -> Tensor:
-    """Draws motions (B, 7) from goals (B, 10) to the proposals of a training step."""
-    share, twisted, turn = torch.rand(3, len(goal), 1, device=goal.device)
-    offset = share * torch.randn(len(goal), 6, device=goal.device)
-    twist = (twisted < TWIST_PROBABILITY) * (turn - 0.5) * torch.pi
-    rotation = PROPOSAL_NOISE_RAD * offset[:, 3:] + F.pad(twist, (2, 0))
-    return torch.cat([PROPOSAL_NOISE_M * offset[:, :3], rotation, goal[:, 9:10]], dim=-1)
-
-
-def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
-    """Returns corrections from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
-
-    A grasp with swapped fingers is equivalent. So the turn is encoded as cosine and sine of its doubled angle, equal
-    for both grasps and continuous. A plain angle would be learnt as the mean of a quarter turn to either side.
-    """
-    motion = geometry.motion_between(goal, proposed)
-    turned = matrix_from_rotation_vector(motion[:, 3:6])
-    approach = turned[:, :, 2]
-    across = approach[:, :2].norm(dim=-1, keepdim=True)
-    angle = torch.atan2(across, approach[:, 2:])
-    tilt = approach[:, [1, 0]] * geometry.constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
-    left = matrix_from_rotation_vector(F.pad(tilt, (0, 1))).transpose(1, 2) @ turned
-    twice = 2 * torch.atan2(left[:, 1, :1], left[:, 0, :1])
-    return torch.cat([motion[:, :3], tilt, twice.cos(), twice.sin()], dim=-1)
-
-
-def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
-    """Inverts `_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
-    way, twice = correction[:, :5], correction[:, 5:]
-    turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
-    gripper = pose[:, 9:10]
-    tilted = geometry.pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
-    return geometry.pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)
-
-
-def _leave_out_memory(head: AnchoredHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
-    """Removes the weights of a memory from those that are loaded into a head that has none.
-
-    Nothing else was trained with it, so the rest is the policy without a history.
-    """
-    if head.memory is None:
-        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
-            del weights[name]

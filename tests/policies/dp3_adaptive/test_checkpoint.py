@@ -51,7 +51,7 @@ def test_fine_tuning_keeps_the_units_of_clouds_and_takes_those_of_the_new_data(
 
 
 def test_a_checkpoint_can_be_used_without_its_memory(make_tiny: MakeTiny, batch_of: Any, tmp_path: Path) -> None:
-    policy, before, _, dataset = make_tiny(preset="fast", n_action_history_steps=4)
+    policy, before, _, dataset = make_tiny(preset="keyframe", n_action_history_steps=4)
     policy.save_pretrained(tmp_path)
     plain = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=["--n_action_history_steps=0"])
     loaded = DP3AdaptivePolicy.from_pretrained(tmp_path, config=plain)

@@ -20,8 +20,7 @@ FAMILIES = {
 }  # fmt: skip
 """Kind of mechanism -> a category that has it."""
 TINY: dict[str, object] = {
-    "type": "dp3_adaptive", "preset": "diffusion", "num_points": 8, "encoder_dims": "[16,16]", "encoder_out_dim": 16,
-    "down_dims": "[32,64]",
+    "type": "dp3_adaptive", "num_points": 8, "encoder_dims": "[16,16]", "encoder_out_dim": 16,
 }  # fmt: skip
 
 

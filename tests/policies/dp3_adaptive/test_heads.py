@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from itertools import chain, repeat
 from typing import Any
 
 import numpy as np
@@ -16,12 +15,11 @@ from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotatio
 from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions
-from lerobot_policy_adamanip.dp3_adaptive import tool_head
+from lerobot_policy_adamanip.dp3_adaptive import truncated
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import Refiner, TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.truncated import Refiner, TypicalMotions
 
 MakeTiny = Callable[..., tuple[Any, ...]]
-every_head = pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 
 
 def test_anchors_stand_where_motions_are_and_know_their_spread() -> None:
@@ -54,17 +52,30 @@ def test_the_right_anchor_and_the_right_correction_cost_nothing(make_anchors: Ma
     residuals = torch.zeros(2, 6, 7)
     rows = torch.arange(2)
     residuals[rows, nearest] = (motion - policy.model.motions.anchors[nearest]) / policy.model.motions.spread[nearest]
-    if policy.config.preset == "keyframe":
-        policy.model.forward = lambda _: (torch.zeros(2, 1), logits, None)
-        policy.model.denoiser.forward = lambda _, index, *noisy: residuals[rows[:, None], index]
-    else:
-        policy.model.forward = lambda _: (logits, residuals, None)
+    policy.model.forward = lambda _: (torch.zeros(2, 1), logits, None)
+    policy.model.denoiser.forward = lambda _, index, *noisy: residuals[rows[:, None], index]
     loss, _, _ = policy.model.loss(window, actions, real)
     torch.testing.assert_close(loss, torch.zeros(2), rtol=0, atol=1e-6)
     drawn = policy.model.sample(window, None)
     torch.testing.assert_close(drawn, actions, rtol=0, atol=1e-4)
     residuals[0, nearest[0], 0] += 1.0
     assert policy.model.loss(window, actions, real)[0][0] > 0.05
+
+
+@pytest.mark.parametrize(("temperature", "share"), [(1.0, 0.75), (0.5, 0.9)])
+def test_a_low_temperature_draws_unlikely_motions_less_often(
+    make_anchors: MakeTiny, batch_of: Any, temperature: float, share: float
+) -> None:
+    policy, before, _, dataset = make_anchors(
+        num_anchors=2, num_refinements=0, inference=Inference(temperature=temperature)
+    )
+    window, *_ = policy.eval().training_window(batch_of(dataset, before, *[0] * 400))
+    goals = drawing(policy, window, LEFT, RIGHT)
+    forward = policy.model.forward
+    policy.model.forward = lambda _: (forward(_)[0], forward(_)[1] * np.log(3) / 2, None)  # three to one
+    torch.manual_seed(0)
+    is_left = (policy.model.sample(window, None)[:, 0] - goals[0]).abs().amax(dim=1) < 1e-4
+    assert is_left.float().mean().item() == pytest.approx(share, abs=0.05)
 
 
 def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_anchors: MakeTiny, batch_of: Any) -> None:
@@ -117,7 +128,7 @@ def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:
 
 def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
     """After one failure the second is tried, after two the third: its memory says so without the rule."""
-    policy, before, _, dataset = make_anchors(num_anchors=3, inference=Inference(no_repeat=False))
+    policy, before, _, dataset = make_anchors(num_anchors=3)
     window, goals = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(80):
@@ -169,13 +180,12 @@ def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchor
     assert torch.equal(added.any(dim=1), touched)
 
 
-# Both heads ----------------------------------------------------------------------------------------------------------
+# Refinement and draws ------------------------------------------------------------------------------------------------
 
 
-@every_head
-def test_the_action_moves_with_the_scene(make_tiny: MakeTiny, observation_of: Any, preset: str) -> None:
+def test_the_action_moves_with_the_scene(make_anchors: MakeTiny, observation_of: Any) -> None:
     """Wherever the robot stands about the vertical, the same scene is met by the same motion."""
-    policy, before, _, dataset = make_tiny(preset=preset)
+    policy, before, _, dataset = make_anchors()
     policy.eval()
     observation = observation_of(dataset, before, 5)
     turn, shift = Rotation.from_euler("z", 1.1), np.array([0.3, -0.5, 0.2])
@@ -203,8 +213,8 @@ def test_the_action_moves_with_the_scene(make_tiny: MakeTiny, observation_of: An
         torch.testing.assert_close(other, poses(one), rtol=0, atol=2e-3)
 
 
-def test_approaches_with_a_varying_end_are_refined(make_tiny: MakeTiny) -> None:
-    motions = make_tiny(preset="fast")[0].model.motions
+def test_approaches_with_a_varying_end_are_refined(make_anchors: MakeTiny) -> None:
+    motions = make_anchors()[0].model.motions
     motions.anchors[:, 0], motions.anchors[:, 6], motions.spread[:] = 0.05, 1.0, torch.tensor(MIN_SPREAD)
     motions.spread[::2, 2] = 0.03
     assert motions.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
@@ -215,11 +225,10 @@ def test_approaches_with_a_varying_end_are_refined(make_tiny: MakeTiny) -> None:
     assert motions.needs_refinement(index).tolist() == [[True, False], [False, True]]
 
 
-@every_head
 def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
-    make_tiny: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str
+    make_anchors: MakeTiny, batch_of: Any, observation_of: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policy, before, _, dataset = make_tiny(preset=preset, inference=Inference(redraw=False))
+    policy, before, _, dataset = make_anchors()
     policy.eval()
     for model in (policy.model, policy.ema_model):
         model.motions.anchors[:, 0], model.motions.anchors[:, 6] = 0.05, 1.0
@@ -237,7 +246,7 @@ def test_only_actions_that_aim_are_refined_and_to_the_same_poses(
     refine = Refiner.refined
     monkeypatch.setattr(Refiner, "refined", lambda *a: looked.append(len(a[2])) or refine(*a))
     few = acted()
-    monkeypatch.setattr(tool_head, "_rows_to_compute", lambda needed: torch.arange(len(needed)))
+    monkeypatch.setattr(truncated, "_rows_to_compute", lambda needed: torch.arange(len(needed)))
     torch.testing.assert_close(few, acted(), rtol=0, atol=1e-6)
     assert 0 < looked[0] < looked[1] == 20
     for model in (policy.model, policy.ema_model):
@@ -260,18 +269,10 @@ def drawing(policy: Any, window: Window, *motions: torch.Tensor) -> list[torch.T
     policy.fit_anchors(torch.stack([LEFT, RIGHT]).repeat(20, 1), torch.ones(40))
     policy.model.motions.spread[:, :3] = 0.02
     goals = [pose_after(motion.expand(len(tool), 7), tool) for motion in motions]
-    if policy.config.method.head != "diffusion":
-        first = policy.model.motions.nearest(motions[0])
-        logits, still = torch.zeros(len(tool), 2).index_fill(1, first, 2.0), torch.zeros(len(tool), 2, 7)
-        is_denoised = policy.config.method.head == "truncated"
-        policy.model.forward = lambda _: (still[:, 0], logits, None) if is_denoised else (logits, still, None)
-        if is_denoised:
-            policy.model.denoiser.forward = lambda *_: still
-        return goals
-    horizon = policy.config.horizon
-    encoded = [policy.model.encode(goal[:, None].expand(-1, horizon, -1), window) for goal in goals]
-    chunks = chain(encoded, repeat(encoded[-1]))
-    policy.model.denoise = lambda *_: next(chunks)
+    first = policy.model.motions.nearest(motions[0])
+    logits = torch.zeros(len(tool), 2).index_fill(1, first, 2.0)
+    policy.model.forward = lambda _: (torch.zeros(len(tool), 1), logits, None)
+    policy.model.denoiser.forward = lambda *noisy: torch.zeros(len(tool), 2, 7)
     return goals
 
 
@@ -285,15 +286,14 @@ CASES: list[Case] = [
 """Whether there is something to hold at the end of each approach, redraw, which approach is acted on."""
 
 
-@every_head
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_an_approach_without_anything_to_hold_is_drawn_again(
-    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str, case: Case
+    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, case: Case
 ) -> None:
     """If all draws lead to nothing, the first one is executed. The executed pose is always a refined one."""
     held, redraw, wanted = case
-    policy, before, _, dataset = make_tiny(
-        preset=preset, num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=redraw)
+    policy, before, _, dataset = make_anchors(
+        num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=redraw, temperature=1.0)
     )
     window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
     window.observations[schema.STATE][..., 9] = 1.0
@@ -308,11 +308,12 @@ def test_an_approach_without_anything_to_hold_is_drawn_again(
     torch.testing.assert_close(found, goals[wanted] + 0.001 * torch.eye(10)[0], rtol=0, atol=1e-5)
 
 
-@every_head
 def test_episodes_of_a_batch_are_redrawn_each_for_itself(
-    make_tiny: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, preset: str
+    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policy, before, _, dataset = make_tiny(preset=preset, num_anchors=2, n_action_history_steps=0)
+    policy, before, _, dataset = make_anchors(
+        num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=True, temperature=1.0)
+    )
     window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
     window.observations[schema.STATE][..., 9] = 1.0
     left, right = drawing(policy, window, LEFT, RIGHT)
@@ -320,45 +321,3 @@ def test_episodes_of_a_batch_are_redrawn_each_for_itself(
     monkeypatch.setattr(Refiner, "refined", lambda _, cloud, pose, *more: (pose, next(answers)))
     found = policy.model.sample(window, torch.zeros(2, 1))[:, 0]
     torch.testing.assert_close(found, torch.stack([left[0], right[1]]), rtol=0, atol=1e-5)
-
-
-# Diffusion in the tool's frame ---------------------------------------------------------------------------------------
-
-
-def poses(rows: int, steps: int) -> torch.Tensor:
-    """Any poses (rows, steps, 10) within a metre."""
-    draw = np.random.default_rng(0)
-    turns = rotation_6d_from_matrix(Rotation.random(rows * steps, random_state=0).as_matrix())
-    parts = [draw.uniform(-0.5, 0.5, (len(turns), 3)), turns, draw.uniform(size=(len(turns), 1))]
-    return torch.from_numpy(np.concatenate(parts, axis=1)).float().reshape(rows, steps, 10)
-
-
-def test_a_chunk_is_decoded_as_it_was_encoded_and_any_values_become_poses(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(preset="diffusion")
-    window, actions, _ = policy.training_window(batch_of(dataset, before))
-    head, bound = policy.model, 4.0
-    assert head.encode(actions, window).abs().max() < bound
-    for chunk in (actions, poses(*actions.shape[:2])):
-        torch.testing.assert_close(head.decode(head.encode(chunk, window), window), chunk, rtol=0, atol=1e-5)
-    staying = head.encode(window.observations[schema.STATE][:, -1:, :10], window)
-    torch.testing.assert_close(staying[..., :3], torch.zeros(len(actions), 1, 3), rtol=0, atol=1e-4)
-    made = head.decode(bound * (2 * torch.rand_like(actions) - 1), window)
-    rows = made[..., 3:9].unflatten(-1, (2, 3))
-    torch.testing.assert_close(rows @ rows.mT, torch.eye(2).expand(*made.shape[:2], 2, 2), rtol=0, atol=1e-5)
-    assert ((made[..., 9] >= 0) & (made[..., 9] <= 1)).all()
-    # Of a short motion and a long one, the same error of a value is small relative to each.
-    near, far = (head.decode(staying + step * torch.eye(10)[2], window)[..., :3] for step in (0.1, 3.0))
-    start = window.observations[schema.STATE][:, -1:, :3]
-    assert ((far - start).norm(dim=-1) > 50 * (near - start).norm(dim=-1)).all()
-
-
-def test_refinement_moves_the_first_action_of_a_chunk_alone(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(preset="diffusion", inference=Inference(redraw=False))
-    policy.eval()
-    window, actions, _ = policy.training_window(batch_of(dataset, before, 0, 3))
-    motions = policy.model.motions
-    motions.anchors[:, 2], motions.anchors[:, 6], motions.spread[:] = 0.1, 1.0, 0.02
-    policy.model.denoise = lambda *_: policy.model.encode(actions, window)
-    found = policy.model.sample(window, None)
-    torch.testing.assert_close(found[:, 1:], actions[:, 1:], rtol=0, atol=1e-5)
-    assert not torch.isclose(found[:, 0, :3], actions[:, 0, :3], atol=1e-4).all(dim=-1).any()

@@ -29,7 +29,7 @@ from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import MirrorSt
 MakeTiny = Callable[..., tuple[Any, ...]]
 
 
-@pytest.mark.parametrize("preset", ["fast", "dp3"])
+@pytest.mark.parametrize("preset", ["keyframe", "dp3"])
 def test_true_and_fixed_statistics_normalise_alike(make_tiny: MakeTiny, raw: dict[str, Any], preset: str) -> None:
     """Datasets of version 0.2 hold fixed ranges of rotation and gripper, newer ones the true statistics."""
     policy, *_, dataset = make_tiny(preset=preset)

@@ -10,8 +10,8 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.rotations import rotation_6d_from_matrix
 from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
-from lerobot_policy_adamanip.dp3_adaptive import tool_head
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import Refiner
+from lerobot_policy_adamanip.dp3_adaptive import truncated
+from lerobot_policy_adamanip.dp3_adaptive.truncated import Refiner
 
 PLATE = (0.2, 0.1, 0.05)
 """A place beside a wedge, in its frame [m]."""
@@ -124,9 +124,9 @@ def test_no_pose_is_shifted_beyond_the_reach_and_one_that_would_be_has_nothing_t
     draw = np.random.default_rng(3)
     cloud, goal = wedges(draw)
     start = near(goal, draw)
-    monkeypatch.setattr(tool_head, "REACH_M", 10.0)
+    monkeypatch.setattr(truncated, "REACH_M", 10.0)
     free, holds = refiner.refined(cloud, start, NO_INSTRUCTION)
-    monkeypatch.setattr(tool_head, "REACH_M", reach)
+    monkeypatch.setattr(truncated, "REACH_M", reach)
     found, held = refiner.refined(cloud, start, NO_INSTRUCTION)
     wanted, shift = (each[:, :3] - start[:, :3] for each in (free, found))
     length = wanted.norm(dim=-1)

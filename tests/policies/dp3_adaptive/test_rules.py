@@ -17,7 +17,7 @@ from lerobot_policy_adamanip.common.geometry import fingers_swapped, motion_betw
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import TypicalMotions
+from lerobot_policy_adamanip.dp3_adaptive.truncated import TypicalMotions
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 HOLDING, EMPTY = 0.2, 0.0
@@ -62,6 +62,16 @@ def test_only_motions_of_a_closed_hand_are_contact_events() -> None:
 def test_a_closed_hand_that_holds_nothing_can_only_push() -> None:
     past = played((PULL, 1.0), (TURN, 1.0), (PUSH, 0.0), (-PUSH, 1.0), (0.3 * PUSH, 0.0), opening=EMPTY)
     assert Past(*past).contact[0].tolist() == [False, False, False, True, False, False]
+
+
+def test_an_open_hand_that_closes_in_place_on_nothing_has_missed() -> None:
+    open_hand = torch.cat([AT_REST[:9], torch.tensor([1.0])])
+    for reached, shift, missed in ((EMPTY, 0.0, True), (HOLDING, 0.0, False), (EMPTY, 0.02, False)):
+        closing = pose_after(shift * torch.eye(7)[2], open_hand)
+        after = torch.cat([closing[:9], torch.tensor([reached])])
+        commands, poses = torch.stack([open_hand, closing])[None], torch.stack([open_hand, open_hand, after])[None]
+        assert Past(commands, poses, torch.ones(1, 2, dtype=torch.bool)).missed[0].tolist() == [False, missed]
+        assert not Past(commands, poses, torch.zeros(1, 2, dtype=torch.bool)).missed.any()
 
 
 def test_what_is_no_contact_event_leaves_no_trace_in_the_memory() -> None:
@@ -246,11 +256,11 @@ def test_what_is_new_is_drawn_else_what_another_grip_failed_at_else_the_hand_let
 def test_what_is_unlikely_is_never_drawn() -> None:
     likely = torch.tensor([0.5, 0.0, 0.47, 0.01, 0.02, 0.0]).expand(200, 6)
     noise = torch.linspace(0, 1 - 1e-6, 200)
-    drawn = rules.draw_anchor(Inference(), likely, noise).tolist()
+    drawn = rules.draw_anchor(Inference(probability_floor=True), likely, noise).tolist()
     assert drawn == sorted(drawn)
     assert set(drawn) == {0, 2}
     assert drawn.count(2) / 200 == pytest.approx(0.47 / 0.97, abs=0.02)
-    assert set(rules.draw_anchor(Inference(probability_floor=False), likely, noise).tolist()) == {0, 2, 3, 4}
+    assert set(rules.draw_anchor(Inference(), likely, noise).tolist()) == {0, 2, 3, 4}
 
 
 def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
@@ -258,12 +268,12 @@ def test_of_two_grasps_that_are_alike_the_less_turned_one_is_gone_to() -> None:
     turn[:, 5] = torch.tensor([0.1, 1.4, 1.8, 3.0])
     home = torch.tensor([[0.5, 0.1, 0.4, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0, 1.0]]).expand(4, -1)
     grasp = pose_after(turn, home)
-    less = rules.swap_fingers(Inference(), grasp, home, home)
+    less = rules.swap_fingers(Inference(swap_fingers=True), grasp, home, home)
     torch.testing.assert_close(less[:2], grasp[:2])
     torch.testing.assert_close(motion_between(less, grasp)[2:, 5].abs(), torch.full((2,), torch.pi))
     # If the chosen pose is turned too, it is kept, as in demonstrations.
-    torch.testing.assert_close(rules.swap_fingers(Inference(), grasp, grasp, home), grasp)
-    assert torch.equal(rules.swap_fingers(Inference(swap_fingers=False), grasp, home, home), grasp)
+    torch.testing.assert_close(rules.swap_fingers(Inference(swap_fingers=True), grasp, grasp, home), grasp)
+    assert torch.equal(rules.swap_fingers(Inference(), grasp, home, home), grasp)
 
 
 def test_a_hand_does_what_was_shown_in_its_state_and_an_empty_one_may_open() -> None:
@@ -283,7 +293,7 @@ def test_a_hand_does_what_was_shown_in_its_state_and_an_empty_one_may_open() -> 
         assert motions.shown_from(motions.nearest(shown)[None], tool)[0].tolist() == [bool(each) for each in allowed]
 
 
-# Both heads -----------------------------------------------------------------------------------------------------------
+# In a policy -------------------------------------------------------------------------------------------------------
 
 PULL_OPEN = to_open(PULL)
 
@@ -304,34 +314,15 @@ class Drawn:
     def __init__(self, policy: Any, window: Window, *motions: Tensor) -> None:
         self.policy, self.window, self.motions = policy.eval(), window, torch.stack(motions)
         policy.fit_anchors(self.motions.repeat(20, 1), torch.full((20 * len(motions),), HOLDING))
-        if policy.config.method.head != "diffusion":
-            order = policy.model.motions.nearest(self.motions)
-            logits = torch.zeros(len(motions)).index_put((order,), -2.0 * torch.arange(len(motions)))[None]
-            residuals, forward = torch.zeros(1, len(motions), 7), policy.model.forward
-            is_denoised = policy.config.method.head == "truncated"
-
-            def drawn(window: Window) -> Any:
-                first, _, added = forward(window)
-                return (first, logits, added) if is_denoised else (logits, residuals, added)
-
-            policy.model.forward = drawn
-            if is_denoised:
-                policy.model.denoiser.forward = lambda *_: residuals
-        else:
-            self.refill()
-
-    def refill(self) -> None:
-        model, horizon = self.policy.model, self.policy.config.horizon
-        tool = model.tool(self.window)
-        goals = [pose_after(motion[None], tool)[:, None].expand(-1, horizon, -1) for motion in self.motions]
-        chunks = iter([model.encode(goal, self.window) for goal in goals] + [model.encode(goals[-1], self.window)] * 8)
-        model.denoise = lambda *_: next(chunks)
+        order = policy.model.motions.nearest(self.motions)
+        logits = torch.zeros(len(motions)).index_put((order,), -2.0 * torch.arange(len(motions)))
+        forward = policy.model.forward
+        policy.model.forward = lambda window: (forward(window)[0], logits[None], forward(window)[2])
+        policy.model.denoiser.forward = lambda *noisy: torch.zeros(1, len(motions), 7)
 
     def acts_on(self, **switches: bool) -> Tensor:
         """Returns the motion (7,) to the action, with the network's likeliest draw first."""
-        self.policy.config.inference = Inference(**switches)
-        if self.policy.config.method.head == "diffusion":
-            self.refill()
+        self.policy.config.inference = Inference(temperature=1.0, **switches)
         action = self.policy.model.sample(self.window, torch.full((1, 1), 0.5))[:, 0]
         return motion_between(action, self.policy.model.tool(self.window))[0]
 
@@ -345,26 +336,25 @@ CASES: list[tuple[str, Tensor, float, tuple[Tensor, Tensor], int]] = [
 """Switch, earlier command of a hand that did not move, its opening, motions in the network's order, acted on."""
 
 
-@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case[0])
-def test_each_rule_decides_a_draw_and_can_be_switched_off_alone(
-    make_tiny: MakeTiny, batch_of: Any, preset: str, case: tuple[str, Tensor, float, tuple[Tensor, Tensor], int]
+def test_each_rule_decides_a_draw_and_can_be_switched_on_alone(
+    make_anchors: MakeTiny, batch_of: Any, case: tuple[str, Tensor, float, tuple[Tensor, Tensor], int]
 ) -> None:
     """The memory is untrained: the rule alone decides."""
     switch, command, opening, motions, expected = case
-    policy, before, _, dataset = make_tiny(preset=preset, num_anchors=2, num_refinements=0)
+    policy, before, _, dataset = make_anchors(num_anchors=2, num_refinements=0)
     start, *_ = policy.training_window(batch_of(dataset, before, 6))
     drawn = Drawn(policy, closed_hand(policy, start, command=command, opening=opening), *motions)
-    torch.testing.assert_close(drawn.acts_on(), motions[expected], rtol=0, atol=1e-4)
-    torch.testing.assert_close(drawn.acts_on(**{switch: False}), motions[0], rtol=0, atol=1e-4)
-    others = {item.name: False for item in fields(Inference) if item.name not in (switch, "redraw")}
-    torch.testing.assert_close(drawn.acts_on(**others), motions[expected], rtol=0, atol=1e-4)
+    names = {item.name for item in fields(Inference)} - {"memory", "rules", "temperature", switch}
+    for switches in ({"rules": True}, {switch: True}):
+        torch.testing.assert_close(drawn.acts_on(**switches), motions[expected], rtol=0, atol=1e-4)
+    for switches in ({}, dict.fromkeys(names, True)):
+        torch.testing.assert_close(drawn.acts_on(**switches), motions[0], rtol=0, atol=1e-4)
 
 
-@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
-def test_an_open_hand_whose_way_is_blocked_backs_off(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
+def test_an_open_hand_whose_way_is_blocked_backs_off(make_anchors: MakeTiny, batch_of: Any) -> None:
     """Not where it was sent nowhere, or with the rule switched off."""
-    policy, before, _, dataset = make_tiny(preset=preset)
+    policy, before, _, dataset = make_anchors(inference=Inference(rules=True))
     policy.eval()
     start, *_ = policy.training_window(batch_of(dataset, before, 6))
     blocked = closed_hand(policy, start, command=to_open(FORWARD), opening=1.0)
@@ -377,10 +367,9 @@ def test_an_open_hand_whose_way_is_blocked_backs_off(make_tiny: MakeTiny, batch_
         assert not torch.allclose(policy.model.sample(window, None)[:, 0], retreat, atol=1e-3)
 
 
-@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion"])
-def test_the_memory_can_be_switched_off_alone(make_tiny: MakeTiny, batch_of: Any, preset: str) -> None:
+def test_the_memory_can_be_switched_off_alone(make_anchors: MakeTiny, batch_of: Any) -> None:
     """Then the action is that of a hand without contact events, and the loss is as before."""
-    policy, before, _, dataset = make_tiny(preset=preset, num_refinements=0)
+    policy, before, _, dataset = make_anchors(num_refinements=0)
     policy.eval()
     with torch.no_grad():
         for weight in policy.model.memory.parameters():
@@ -389,11 +378,10 @@ def test_the_memory_can_be_switched_off_alone(make_tiny: MakeTiny, batch_of: Any
     start, *_ = policy.training_window(batch)
     window = closed_hand(policy, start, command=TURN, opening=HOLDING)
     untouched = replace(window, valid=~window.valid)
-    alone = {item.name: False for item in fields(Inference) if item.name != "memory"}
     noise = torch.rand(20, policy.config.horizon, 10)
     drawn, losses = [], []
     for memory in (True, False):
-        policy.config.inference = Inference(**{**alone, "memory": memory})
+        policy.config.inference = Inference(memory=memory)
         drawn.append([policy.model.sample(each, noise) for each in (window, untouched)])
         torch.manual_seed(0)
         losses.append(policy.forward(batch)[0])

@@ -19,7 +19,7 @@ MakeTiny = Callable[..., tuple[Any, ...]]
 
 @pytest.fixture
 def saved(make_tiny: MakeTiny, tmp_path: Path) -> tuple[Path, tuple[Any, ...]]:
-    made = make_tiny(preset="fast")
+    made = make_tiny(preset="keyframe")
     for part in made[:3]:
         part.save_pretrained(tmp_path)
     return tmp_path, made

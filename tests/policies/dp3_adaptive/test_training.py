@@ -47,7 +47,7 @@ def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, b
 
 def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:
     """The others: tests/policies/dp3_adaptive/test_heads.py."""
-    policy, before, _, dataset = make_tiny(preset="diffusion")
+    policy, before, _, dataset = make_tiny(preset="dp3")
     batch = batch_of(dataset, before, 0, 5)
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
 
@@ -133,7 +133,7 @@ def test_only_the_first_points_are_used_and_too_few_are_refused(make_tiny: MakeT
 
 
 @pytest.mark.skipif(not torch.ops.mkldnn._is_mkldnn_bf16_supported(), reason="this CPU does not run bfloat16")
-@pytest.mark.parametrize("preset", ["fast", "keyframe", "diffusion", "dp3"])
+@pytest.mark.parametrize("preset", ["keyframe", "dp3"])
 def test_a_policy_trains_and_acts_in_half_precision(
     make_tiny: MakeTiny, batch_of: Any, observation_of: Any, preset: str
 ) -> None:
@@ -173,7 +173,7 @@ def test_the_files_say_where_episodes_end(tmp_path: Path) -> None:
 def test_fine_tuning_on_other_motions_warns(
     make_tiny: MakeTiny, tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    policy, *_, dataset = make_tiny(preset="fast")
+    policy, *_, dataset = make_tiny(preset="keyframe")
     policy.save_pretrained(tmp_path)
     again = type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
     assert "spreads from every anchor" not in caplog.text
@@ -186,7 +186,7 @@ def test_fine_tuning_on_other_motions_warns(
 
 def test_a_training_step_passes_few_files(make_tiny: MakeTiny, batch_of: Any) -> None:
     """What a reader has to open to know the default's loss."""
-    policy, before, _, dataset = make_tiny(preset="fast")
+    policy, before, _, dataset = make_tiny(preset="keyframe")
     batch, files = batch_of(dataset, before), set()
     policy.forward(batch)  # the first batch is checked
 
@@ -200,4 +200,4 @@ def test_a_training_step_passes_few_files(make_tiny: MakeTiny, batch_of: Any) ->
     finally:
         sys.setprofile(None)
     ours = {path for path in files if "site-packages" not in path.parts and "tests" not in path.parts}
-    assert 3 <= len(ours) <= 7, sorted(ours)  # one of them says what a felt try is, for every policy
+    assert 3 <= len(ours) <= 8, sorted(ours)  # one of them says what a felt try is, for every policy
