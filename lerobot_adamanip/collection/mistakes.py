@@ -4,8 +4,8 @@ As in DART (Laskey et al. 2017), a row's ``action`` stays the expert's answer, a
 ``complementary_info.executed``. So the data show states and failed tries that a policy reaches, and what to do next.
 The expert takes over in the state that the mistake has led to, and knows all tries so far.
 
-Mistakes: a motion stops short; an open hand goes beside the part, and may close there on nothing; a closed hand moves
-the wrong way, lets go, repeats the latest failed try, or pulls before the turn.
+Mistakes: a motion stops short; an approaching hand closes on nothing; a closed hand moves the wrong way, lets go,
+repeats the latest failed try, or pulls before the turn.
 """
 
 from __future__ import annotations
@@ -27,25 +27,20 @@ SHORT_SHARES = (0.3, 0.7)
 """Range of the share of a motion that one that stops short covers."""
 EARLY_PULL_M = 0.05
 """Length of a pull before the turn [m]."""
-BESIDE_M = (0.02, 0.12)
-"""Range of the distance by which an approach goes beside its goal [m]. A policy without much training errs as far."""
-CLOSE_BESIDE = 0.5
-"""Probability that a hand beside the part closes next: a policy believes that the part is there."""
-SHORT, BESIDE, WRONG_WAY, LET_GO, REPEAT, EARLY_PULL = "short", "beside", "wrong way", "let go", "repeat", "early pull"
+SHORT, MISS, WRONG_WAY, LET_GO, REPEAT, EARLY_PULL = "short", "miss", "wrong way", "let go", "repeat", "early pull"
 
 
 class Mistakes:
     """Draws the mistakes of one episode.
 
     Args:
-        share: share of the key frames with a mistake, beside those at which a hand closes beside the part.
+        share: share of the key frames with a mistake.
         generator: random numbers of mistakes.
     """
 
     def __init__(self, share: float, generator: np.random.Generator) -> None:
         self._share, self._rng = share, generator
         self._failed: Array | None = None
-        self._is_beside = False
 
     def draw(self, goal: Goal, feedback: Feedback) -> Action | None:
         """Returns a mistaken action (10,) in place of the expert's; None for no mistake.
@@ -54,28 +49,21 @@ class Mistakes:
             goal: the expert's next key frame.
             feedback: of the key frame before, which says where the hand is.
         """
-        here, is_beside = feedback.tcp_in_base, self._is_beside
-        self._is_beside = False
-        if is_beside and self._rng.random() < CLOSE_BESIDE:
-            return pose_vector(here, 0.0)
         if self._rng.random() >= self._share:
             return None
+        here = feedback.tcp_in_base
         motion = np.linalg.inv(here) @ goal.tcp_in_base
         (short,) = straight_path(here, goal.tcp_in_base, np.array([self._rng.uniform(*SHORT_SHARES)]))
         choices = {SHORT: (short, goal.gripper)}
-        if goal.gripper > OPEN_HAND and goal.phase in (Phase.APPROACH, Phase.GRASP):
-            angle, distance = self._rng.uniform(0, 2 * np.pi), self._rng.uniform(*BESIDE_M)
-            aside = transform((distance * np.cos(angle), distance * np.sin(angle), 0.0))
-            choices[BESIDE] = (goal.tcp_in_base @ aside, goal.gripper)
+        if feedback.gripper > OPEN_HAND and goal.gripper > OPEN_HAND and goal.phase in (Phase.APPROACH, Phase.GRASP):
+            choices[MISS] = (here, 0.0)
         if goal.gripper < CLOSED_HAND and feedback.gripper < OPEN_HAND and goal.phase in _CONTACT:
             choices |= {WRONG_WAY: (here @ np.linalg.inv(motion), 0.0), LET_GO: (here, 1.0)}
             if self._failed is not None:
                 choices[REPEAT] = (here @ self._failed, 0.0)
             if goal.phase is Phase.UNLOCK:
                 choices[EARLY_PULL] = (here @ transform((0.0, 0.0, -EARLY_PULL_M)), 0.0)
-        kind = str(self._rng.choice(list(choices)))
-        self._is_beside = kind == BESIDE
-        return pose_vector(*choices[kind])
+        return pose_vector(*choices[str(self._rng.choice(list(choices)))])
 
     def after(self, before: Array, sent: Array | Action, labels: KeyFrameLabels) -> None:
         """Remembers a failed try: the motion from a pose (4, 4) to a sent one, (4, 4) or an action (10,)."""
