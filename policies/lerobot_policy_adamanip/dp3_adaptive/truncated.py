@@ -68,8 +68,8 @@ REACH_M = 0.1
 class TruncatedHead(ToolHead):
     """Scores the anchors, draws one, denoises its residual and refines the pose.
 
-    The memory changes only the scores, and only after a contact event. Before one, they are those of a network without
-    a history. The rules act before a contact event, too.
+    The memory changes only the scores, and only after a contact event or a grasp of nothing. Before one, they are those
+    of a network without a history.
     """
 
     DRAWS = 4
@@ -122,8 +122,8 @@ class TruncatedHead(ToolHead):
         """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor, its
         last seven are the noise of residuals.
 
-        An anchor whose approach ends at nothing is masked, and another one drawn, up to `DRAWS` draws. If all draws
-        fail, the first one counts.
+        With the rule ``redraw``, an anchor whose approach ends at nothing is masked and another one drawn, up to
+        `DRAWS` draws. If all draws fail, the first one counts.
         """
         inference, motions, tool = self.config.inference, self.motions, self.tool(window)
         features, logits, added = self(window)
