@@ -307,7 +307,7 @@ def test_every_scale_has_demonstrations_of_seen_objects_alone() -> None:
     ("method", "kinds"),
     [
         ({"demonstrations": "static"}, EVERYTHING), ({"policy": "act"}, TRAINING), ({"train": ["--x=1"]}, TRAINING),
-        ({"options": ["--policy.preset=fast"]}, TRAINING), ({"evaluate": ["--x=1"]}, TEST),
+        ({"options": ["--policy.num_anchors=8"]}, TRAINING), ({"evaluate": ["--x=1"]}, TEST),
         ({"train_at": {SCALE: ["--x=1"]}}, TRAINING), ({"title": "Other"}, set()), ({"paper": "ACT"}, set()),
     ],
     ids=in_order,
