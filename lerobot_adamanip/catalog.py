@@ -116,7 +116,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     splits = {"seen": seen_objects, "unseen": unseen_objects, "novel": novel_objects}
     if selection in splits:
         return splits[selection](category)
-    if (of := selection.removesuffix(FOR_TESTS)) in ("unseen", "novel") and of != selection:
+    if (of := selection.removesuffix(FOR_TESTS)) in ("unseen", "novel"):
         choose = unseen_objects if of == "unseen" else novel_objects
         return choose(category, 2 * UNSEEN_COUNT)[UNSEEN_COUNT:]
     if match := re.fullmatch(r"(n?)(\d+):\1(\d+)", selection):

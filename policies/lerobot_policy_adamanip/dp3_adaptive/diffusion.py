@@ -37,7 +37,7 @@ from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import (
     DP3AdaptiveConfig,
 )
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
-from lerobot_policy_adamanip.dp3_adaptive.tool_head import POINT_DIM, ToolHead
+from lerobot_policy_adamanip.dp3_adaptive.truncated import POINT_DIM, ToolHead
 
 BODY_RANGE = 3.0
 """Bound of normalised proprioception; demonstrations are within 1."""

@@ -3,8 +3,8 @@
 Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
 a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from its own
 history. `TruncatedHead`, the default, denoises around a typical motion of the demonstrations. Start with
-`select_action` and `TruncatedHead.sample`. Read on in `tool_head` (inputs), `rules` (at inference), `common.contacts`
-(past key frames and memory) and `diffusion` (the heads for chunks of actions).
+`select_action` and `TruncatedHead.sample`. Read on in `common.contacts` (past key frames and memory), `rules` (a
+baseline at inference) and `diffusion` (the heads for chunks of actions).
 """
 
 import copy

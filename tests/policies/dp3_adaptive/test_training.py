@@ -200,4 +200,4 @@ def test_a_training_step_passes_few_files(make_tiny: MakeTiny, batch_of: Any) ->
     finally:
         sys.setprofile(None)
     ours = {path for path in files if "site-packages" not in path.parts and "tests" not in path.parts}
-    assert 3 <= len(ours) <= 8, sorted(ours)  # one of them says what a felt try is, for every policy
+    assert 3 <= len(ours) <= 7, sorted(ours)  # one of them says what a felt try is, for every policy
