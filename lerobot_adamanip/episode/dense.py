@@ -29,6 +29,11 @@ MOST_STRAINED = 0.5
 """Longest time that a blocked arm takes to give up its strain [s]."""
 GRIPPER_MOVES = 0.05
 """Difference of commanded gripper openings above which the fingers move."""
+FINGERS_REST = 0.02
+"""Change of the gripper's opening in one step below which the fingers stand still."""
+CLOSE, ALIGNED = 0.004, 0.04
+"""Position [m] and rotation [rad] left to a goal with which the next key frame starts before the arm is at rest. Waiting
+at each goal would make a third of the rows idle, from which policies learn to stand still."""
 
 
 class DenseEnvironment(SimulatedEnvironment, Protocol):
@@ -249,14 +254,14 @@ class KeyFrameMotion:
     Args:
         env: environment, at the start of the key frame.
         goal: the key frame.
-        moves_gripper: whether its fingers move, which takes `MotionLimits.grip_ticks` after the arm has arrived.
+        moves_gripper: whether its fingers move. The arm waits for them, for `MotionLimits.grip_ticks` at most.
         strained: whether the arm is still blocked by the motion before, which it may be for `MOST_STRAINED`.
     """
 
     def __init__(self, env: DenseEnvironment, goal: Goal, *, moves_gripper: bool, strained: bool) -> None:
         self._env, self._goal, self._limits = env, goal, env.motion_limits
         self._start, self._time, self._step_time = env.feedback.tcp_in_base, 0.0, 1.0 / env.options.fps
-        self._wait = self._limits.grip_ticks * TICK if moves_gripper else 0.0
+        self._opening, self._moves_gripper = env.feedback.gripper, moves_gripper
         self._strained_until = MOST_STRAINED if strained else 0.0
         distance = float(np.linalg.norm(goal.tcp_in_base[:3, 3] - self._start[:3, 3]))
         angle = angle_between(self._start[:3, :3], goal.tcp_in_base[:3, :3])
@@ -289,16 +294,24 @@ class KeyFrameMotion:
             return Outcome.STALLED
         if self._time >= limits.max_ticks * TICK:
             return Outcome.TIMEOUT
-        left = self._time - self._duration
+        waited = self._time - self._duration
         actual, goal = env.feedback.tcp_in_base, self._goal.tcp_in_base
-        is_far = np.linalg.norm(actual[:3, 3] - goal[:3, 3]) > limits.reached_position
-        is_turned = angle_between(actual[:3, :3], goal[:3, :3]) > limits.reached_rotation
-        if env.is_unreachable and (is_far or is_turned):
+        distance = np.linalg.norm(actual[:3, 3] - goal[:3, 3])
+        angle = angle_between(actual[:3, :3], goal[:3, :3])
+        is_far = distance > limits.reached_position or angle > limits.reached_rotation
+        if env.is_unreachable and is_far:
             return Outcome.UNREACHABLE
-        if left < self._wait:
+        if self._fingers_move(waited) or waited < 0:
             return None
-        if env.is_at_rest and not (is_far or is_turned):
+        if (distance < CLOSE and angle < ALIGNED) or (env.is_at_rest and not is_far):
             return Outcome.REACHED
-        if left < self._wait + limits.settle_ticks * TICK:
+        if waited < limits.settle_ticks * TICK:
             return None
-        return Outcome.STALLED if is_far or is_turned else Outcome.REACHED
+        return Outcome.STALLED if is_far else Outcome.REACHED
+
+    def _fingers_move(self, waited: float) -> bool:
+        """Returns whether the fingers have not come to rest yet, ``waited`` seconds after the arm has arrived."""
+        before, self._opening = self._opening, self._env.feedback.gripper
+        rest = self._time > self._step_time and abs(self._opening - before) < FINGERS_REST
+        self._moves_gripper = self._moves_gripper and not rest and waited < self._limits.grip_ticks * TICK
+        return self._moves_gripper

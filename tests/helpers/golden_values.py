@@ -24,6 +24,7 @@ from numpy.typing import ArrayLike
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import DENSE, KEYFRAME
 from lerobot_adamanip.contract.seeds import (
     SPLITS,
     BalancedDraws,
@@ -299,7 +300,7 @@ DATA: dict[str, Callable[[], Any]] = {
 # What is simulated ------------------------------------------------------------------------------------------------
 
 
-def _episode(category: str, number: int) -> Values:
+def _episode(category: str, number: int, control: str = KEYFRAME) -> Values:
     """An expert's episode on one object: the first observation, the record, and all rows."""
     from lerobot_adamanip.collection.record import EpisodeRequest, attempt_episode
     from lerobot_adamanip.datasets.collection_spec import CollectionSpec
@@ -308,7 +309,8 @@ def _episode(category: str, number: int) -> Values:
     from lerobot_env_adamanip.make_environment import make_environment
 
     name = object_id(category, number)
-    options = EnvironmentOptions(category, objects=name, num_points=NUM_POINTS, observe_images=False)
+    sizes = {"num_points": NUM_POINTS, "observe_images": False, "observe_cloud": True}
+    options = EnvironmentOptions(category, objects=name, control=control, **sizes)
     spec = CollectionSpec(options, objects=(name,))
     with contextlib.closing(make_environment(spec.environment_of(category))) as env:
         _, episode = attempt_episode(env, spec, make_expert, EpisodeRequest(name, SEEDS[number]))
@@ -335,7 +337,7 @@ SIMULATED: dict[str, Callable[[], Any]] = {
     f"{category}/{number}": functools.partial(_episode, category, number)
     for category in CATEGORIES
     for number in range(len(SEEDS))
-}
+} | {f"{category}/{DENSE}": functools.partial(_episode, category, 0, DENSE) for category in ("bottle", "safe", "door")}
 
 ALL = (
     Golden("plain", "SIMULATION_VERSION", SIMULATION_VERSION, PLAIN),
