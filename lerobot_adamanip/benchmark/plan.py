@@ -30,6 +30,8 @@ FOLDERS: Mapping[str, str] = {
 }
 """Kind of step -> folder of its products, relative to the benchmark's folder."""
 EPISODE_LOG = "episodes.jsonl"
+VIDEO_SIZE = 128
+"""Side [px] of `lerobot-eval`'s videos if no policy sees them. At 256 px they take most of an evaluation's time."""
 TEST_SEED = 1000
 """Seed of an evaluation's first scene and of the policy's sampling; equal for all methods and trainings."""
 _ATTEMPTS = 25
@@ -398,7 +400,8 @@ def _evaluation(
         return _step(EVALUATE, _expert_command(method.expert, command[1:]), decides)
     # A policy that uses images was trained with them. For others, evaluation without images is equal and faster.
     named = any(word.startswith("--env.observe_images=") for word in command)
-    observed = () if named else (f"--env.observe_images={'true' if like.image_size else 'false'}",)
+    unseen = ("--env.observe_images=false", f"--env.image_size={VIDEO_SIZE}")
+    observed = () if named else ("--env.observe_images=true",) if like.image_size else unseen
     return _step(EVALUATE, command, decides, observed, () if training is None else (training,))
 
 

@@ -32,8 +32,8 @@ GRIPPER_MOVES = 0.05
 FINGERS_REST = 0.02
 """Change of the gripper's opening in one step below which the fingers stand still."""
 CLOSE, ALIGNED = 0.004, 0.04
-"""Position [m] and rotation [rad] left to a goal with which the next key frame starts before the arm is at rest. Waiting
-at each goal would make a third of the rows idle, from which policies learn to stand still."""
+"""Position [m] and rotation [rad] left to a goal with which the next key frame starts before the arm is at rest.
+Waiting at each goal would make a third of the rows idle, from which policies learn to stand still."""
 
 
 class DenseEnvironment(SimulatedEnvironment, Protocol):

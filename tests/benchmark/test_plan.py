@@ -141,7 +141,10 @@ def test_the_tests_are_those_of_the_demonstrations_objects_poses_and_points() ->
     tested = steps(pictures)[EVALUATE]
     assert (option(tested.command, "--env.image_size"), option(tested.command, "--env.num_points")) == ("96", "512")
     assert tested.non_key_options == ("--env.observe_images=true",)
-    assert steps(declaration)[EVALUATE].non_key_options == ("--env.observe_images=false",)
+    assert steps(declaration)[EVALUATE].non_key_options == (
+        "--env.observe_images=false",
+        "--env.image_size=128",
+    )
     methods = content()["methods"]
     methods["ours"]["evaluate"] = ["--env.observe_images=true"]
     assert steps(declared(methods=methods))[EVALUATE].non_key_options == (), "no second word after a method's own"
