@@ -181,9 +181,9 @@ def create_policy(root: Path, preset: str, device: str) -> tuple[Any, Any, Any, 
     """Returns policy, preprocessor, postprocessor and dataset as created by lerobot-train."""
     meta = LeRobotDatasetMetadata(f"local/{root.name}", root=root)
     config = DP3AdaptiveConfig(preset=preset, device=device)
-    policy = make_policy(config, ds_meta=meta)
-    processors = make_pre_post_processors(config, dataset_stats=meta.stats)
-    return policy, *processors, open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
+    dataset = open_dataset(root, delta_timestamps=resolve_delta_timestamps(config, meta))
+    policy = make_policy(config, ds_meta=dataset.meta)  # as lerobot-train: of the dataset that is read
+    return policy, *make_pre_post_processors(config, dataset_stats=meta.stats), dataset
 
 
 def training_step(device: str, parts: tuple[Any, Any, Any, Any]) -> Callable[[], None]:
