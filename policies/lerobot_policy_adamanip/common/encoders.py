@@ -25,14 +25,15 @@ CACHED_ROWS = 5120
 def largest_rows(values: Tensor) -> Tensor:
     """Returns each channel's argmax over points. (B, N, C) -> (B, C).
 
-    Searches the group first, then the point: torch's max along points is twenty times faster than its argmax.
+    Searches the group first, then the point: torch's amax along points is twenty times faster than its argmax, and max,
+    which also returns the index, four times.
     """
     points = values.shape[1]
     size = max(size for size in range(1, math.isqrt(points) + 1) if points % size == 0)
     groups = values.reshape(len(values), points // size, size, values.shape[2])
-    group = groups.amax(dim=2).argmax(dim=1)
+    group = groups.amax(dim=2).max(dim=1).indices
     chosen = group[:, None, None].expand(-1, 1, size, -1)
-    return group * size + groups.gather(1, chosen).squeeze(1).argmax(dim=1)
+    return group * size + groups.gather(1, chosen).squeeze(1).max(dim=1).indices
 
 
 class PointNetEncoder(nn.Module):
