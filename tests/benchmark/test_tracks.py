@@ -15,9 +15,19 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import parse_sensing
 from lerobot_adamanip.mechanisms import categories_with
 
-TRACKS, SENSORS = (
-    read_declaration(Path(declaration.__file__).with_name(name)) for name in ("tracks.toml", "sensors.toml")
+TRACKS, SENSORS, KINDS = (
+    read_declaration(Path(declaration.__file__).with_name(name))
+    for name in ("tracks.toml", "sensors.toml", "memories.toml")
 )
+
+MEMORY_OPTIONS = {
+    "--policy.memory_kind", "--policy.n_action_history_steps", "--policy.n_obs_steps", "--memory", "--env.memory",
+}  # fmt: skip
+PRODUCTS = {
+    "--policy.input_features", "--policy.path", "--output_dir", "--env.episode_log", "--dataset.root",
+    "--dataset.repo_id",
+}  # fmt: skip
+"""Options that name other steps' products, and the columns that a policy reads."""
 
 
 def chain(scale: str, method: str, category: str) -> list[Step]:
@@ -101,3 +111,18 @@ def test_errors_of_sensors_are_of_evaluations_and_two_trainings_serve_them_all()
     assert len(trainings) == 2
     assert len(set(sensing.values())) == len({name for name in sensing if not name.startswith("trained")})
     assert sensing["trained_d435"] == sensing["d435"] == ("d435", "false")
+
+
+def test_kinds_of_memory_differ_in_nothing_else() -> None:
+    """Equal demonstrations, steps and scenes; a training differs in the kind of memory alone."""
+    assert {KINDS.methods[name].policy for name in KINDS.methods} == {"dp3_adaptive", "diffusion"}
+    for effect in KINDS.effects:
+        left, right = (
+            plan(Cell(method=name, category="safe", objects="seen", seed=1000), KINDS, "memories", VERSIONS)
+            for name in (effect.method, effect.without)
+        )
+        steps = [{step.kind: options(step) for step in last.chain()} for last in (left, right)]
+        for kind, words in steps[0].items():
+            other = steps[1][kind]
+            changed = {name for name in {*words, *other} if words.get(name) != other.get(name)}
+            assert changed <= PRODUCTS | MEMORY_OPTIONS

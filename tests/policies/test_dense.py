@@ -24,6 +24,7 @@ from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3A
 Make = Callable[..., tuple[Any, ...]]
 PRESETS = ("dense", "dp3")
 SHORT: dict[str, Any] = {"n_action_history_steps": 5, "horizon": 8, "n_action_steps": 3}
+CODE_MEMORY = {"memory_kind": "code"}
 
 
 @pytest.fixture(scope="session")
@@ -94,9 +95,9 @@ def test_training_and_run_time_show_the_head_the_same_strokes(make: Make, batch_
     assert contacts > 20
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_every_weight_learns_and_the_loss_falls(make: Make, batch_of: Any, preset: str) -> None:
-    policy, before, _, dataset = make(preset)
+@pytest.mark.parametrize(("preset", "changes"), [*((preset, {}) for preset in PRESETS), ("dense", CODE_MEMORY)])
+def test_every_weight_learns_and_the_loss_falls(make: Make, batch_of: Any, preset: str, changes: Any) -> None:
+    policy, before, _, dataset = make(preset, **changes)
     assert policy.config.control_fps == 10
     batch = batch_of(dataset, before)
     policy.forward(batch)[0].backward()

@@ -25,6 +25,10 @@ FLUSH_STEPS = 100
 """Number of steps between two such flushes."""
 FUSED_DEVICES = {"cpu", "cuda"}
 """Device types with a fused AdamW kernel in every supported torch."""
+EVENTS, WINDOW, CODE = "events", "window", "code"
+MEMORY_KINDS = (EVENTS, WINDOW, CODE)
+"""What the memory reads: ``events``: the contact events. ``window``: each of the past key frames. ``code``: each of
+them too, but its code learns only to reconstruct them, see `contacts.MotionCode`."""
 
 
 @OptimizerConfig.register_subclass("fused_adamw")

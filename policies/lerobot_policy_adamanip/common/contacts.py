@@ -1,7 +1,8 @@
 """Contact events: past key frames that moved a closed hand, or closed it on nothing. The memory reads no others.
 
 A memory of all key frames becomes a phase clock, which says what comes next instead of the cloud (causal confusion).
-Approaches, grasps that hold something and releases therefore leave no trace in the memory.
+Approaches, grasps that hold something and releases therefore leave no trace in the memory. Two other kinds of memory
+are there to compare it with, see `config.MEMORY_KINDS`.
 """
 
 from __future__ import annotations
@@ -16,6 +17,7 @@ from torch import Tensor, nn
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD, pushes
+from lerobot_policy_adamanip.common.config import CODE
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
 UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
@@ -91,7 +93,7 @@ class Past:
 
 
 class ContactMemory(nn.Module):
-    """GRU over the contact events; other key frames leave its state unchanged."""
+    """GRU over the key frames that it reads; others leave its state unchanged."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
@@ -99,29 +101,56 @@ class ContactMemory(nn.Module):
         # A cell: on a GPU `nn.GRU` keeps its weights in one storage, which safetensors refuses to save.
         self.cell = nn.GRUCell(dim, dim)
 
-    def forward(self, happened: Tensor, contact: Tensor) -> Tensor:
-        """`Past.events` (B, H, 16), `Past.contact` (B, H) -> (B, dim); zero without a contact event."""
+    def forward(self, happened: Tensor, read: Tensor) -> Tensor:
+        """`Past.events` (B, H, 16), mask (B, H) of those to read -> (B, dim); zero if there are none."""
         embedded = self.embedding(happened)
         state = torch.zeros_like(embedded[:, 0])
-        for step in range(contact.shape[1]):
-            if surely_none(contact[:, step]):
+        for step in range(read.shape[1]):
+            if surely_none(read[:, step]):
                 continue
-            state = torch.where(contact[:, step, None], self.cell(embedded[:, step], state), state)
+            state = torch.where(read[:, step, None], self.cell(embedded[:, step], state), state)
         return state
 
 
-class ChoiceMemory(nn.Module):
-    """Logits of choices from the contact events; exactly zero without a contact event, and before training."""
+class MotionCode(ContactMemory):
+    """Code of the past motions, trained to reconstruct them and by nothing else (CAMP, arXiv 2606.21188).
 
-    def __init__(self, dim: int, features: int, choices: int) -> None:
+    CAMP trains an LSTM over states and actions before the policy. Here a GRU learns in the same training, and no
+    gradient of the policy reaches it.
+    """
+
+    def __init__(self, dim: int, length: int) -> None:
+        super().__init__(dim)
+        self.decoder = nn.Sequential(nn.Linear(dim, 128), nn.ReLU(), nn.Linear(128, length * MOTION_DIM))
+
+    def forward(self, happened: Tensor, read: Tensor) -> Tensor:
+        """See `ContactMemory.forward`; without a gradient."""
+        return super().forward(happened, read).detach()
+
+    def loss(self, happened: Tensor, read: Tensor) -> Tensor:
+        """Returns the error (B,) of the reconstructed commanded motions of `Past.events` (B, H, 16)."""
+        decoded = self.decoder(super().forward(happened, read)).reshape(*happened.shape[:2], MOTION_DIM)
+        error = F.smooth_l1_loss(decoded, happened[..., :MOTION_DIM], reduction="none").mean(dim=-1)
+        return (error * read).sum(dim=1) / read.sum(dim=1).clamp(min=1)
+
+
+def make_memory(kind: str, dim: int, length: int) -> ContactMemory:
+    """Returns a memory of one of the `config.MEMORY_KINDS` over ``length`` past key frames."""
+    return MotionCode(dim, length) if kind == CODE else ContactMemory(dim)
+
+
+class ChoiceMemory(nn.Module):
+    """Logits of choices from a memory; exactly zero if it has read nothing, and before training."""
+
+    def __init__(self, events: ContactMemory, dim: int, features: int, choices: int) -> None:
         super().__init__()
-        self.events = ContactMemory(dim)
+        self.events = events
         self.hidden = nn.Sequential(nn.Linear(features + dim, 128), nn.ReLU())
         self.logits = nn.Linear(128, choices)
         nn.init.zeros_(self.logits.weight)
         nn.init.zeros_(self.logits.bias)
 
-    def forward(self, features: Tensor, happened: Tensor, contact: Tensor) -> Tensor:
-        """Features (B, W), which get no gradient, `Past.events` (B, H, 16), `Past.contact` (B, H) -> (B, K) logits."""
-        added: Tensor = self.logits(self.hidden(torch.cat([features.detach(), self.events(happened, contact)], dim=-1)))
-        return added * contact.any(dim=1, keepdim=True)
+    def forward(self, features: Tensor, happened: Tensor, read: Tensor) -> Tensor:
+        """Features (B, W), which get no gradient, and inputs of `ContactMemory` -> logits (B, K)."""
+        added: Tensor = self.logits(self.hidden(torch.cat([features.detach(), self.events(happened, read)], dim=-1)))
+        return added * read.any(dim=1, keepdim=True)

@@ -11,6 +11,7 @@ import functools
 from collections.abc import Callable
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from lerobot_adamanip.contract import memory
@@ -222,3 +223,32 @@ def point_features(points: Tensor, unit: float, scale: float) -> Tensor:
 def upwards(tool: Tensor) -> Tensor:
     """Returns the upward direction (..., 3) in the frame of tool poses (..., 10)."""
     return matrix_from_6d(tool[..., ROTATION_DIMS])[..., 2, :]
+
+
+# Grasps: approaches with two fingers ----------------------------------------------------------------------------------
+
+
+def grasp_correction(goal: Tensor, proposed: Tensor) -> Tensor:
+    """Returns corrections from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
+
+    A grasp with swapped fingers is equivalent. So the turn is encoded as cosine and sine of its doubled angle, equal
+    for both grasps and continuous. A plain angle would be learnt as the mean of a quarter turn to either side.
+    """
+    motion = motion_between(goal, proposed)
+    turned = matrix_from_rotation_vector(motion[:, 3:6])
+    approach = turned[:, :, 2]
+    across = approach[:, :2].norm(dim=-1, keepdim=True)
+    angle = torch.atan2(across, approach[:, 2:])
+    tilt = approach[:, [1, 0]] * constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
+    left = matrix_from_rotation_vector(F.pad(tilt, (0, 1))).transpose(1, 2) @ turned
+    twice = 2 * torch.atan2(left[:, 1, :1], left[:, 0, :1])
+    return torch.cat([motion[:, :3], tilt, twice.cos(), twice.sin()], dim=-1)
+
+
+def corrected_grasp(pose: Tensor, correction: Tensor) -> Tensor:
+    """Inverts `grasp_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
+    way, twice = correction[:, :5], correction[:, 5:]
+    turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
+    gripper = pose[:, 9:10]
+    tilted = pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
+    return pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)

@@ -13,7 +13,7 @@ from lerobot.optim.schedulers import DiffuserSchedulerConfig
 from lerobot_adamanip.contract.control import DENSE, KEYFRAME
 from lerobot_adamanip.contract.schema import EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
-from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWConfig
+from lerobot_policy_adamanip.common.config import MEMORY_KINDS, CloudPolicyConfig, FusedAdamWConfig
 
 TRAIN_TIMESTEPS = 100
 """Diffusion steps in training."""
@@ -69,7 +69,8 @@ paper's code.
 TOOL: dict[str, Any] = {
     "num_points": 1024, "encoder_dims": (64, 128, 192), "encoder_out_dim": 128,
     "coarse_points": 512, "training_points": 320,
-    "n_obs_steps": 1, "n_action_history_steps": 16, "n_action_steps": 1, "memory_dim": 64, "use_feedback": True,
+    "n_obs_steps": 1, "n_action_history_steps": 16, "n_action_steps": 1, "memory_dim": 64, "memory_kind": "events",
+    "use_feedback": True,
     "num_anchors": 32, "num_refinements": 3, "refinement_points": 128, "optimizer_lr": 1e-3,
     "scheduler_warmup_steps": 100,
 }  # fmt: skip
@@ -187,8 +188,11 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     use_feedback: bool = from_preset()
     # Run time only: episodes in a row that share the history of actions, as --env.repeats=K plays one scene K times.
     memory_episodes: int = 1
-    # Size of the memory of contact events (keyframe 64, dense 64).
+    # Size of the memory (keyframe 64, dense 64).
     memory_dim: int = from_preset()
+    # What the memory reads, to compare kinds of memory: events (contact events), window (each past key frame), or code
+    # (each of them, by a code that learns only to reconstruct them) (keyframe events, dense events).
+    memory_kind: str = from_preset()
     # Number of anchors, typical motions of the demonstrations, around which actions are denoised (keyframe 32).
     num_anchors: int = from_preset()
     # Width of the layers after the cloud (keyframe 256).
@@ -289,6 +293,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             raise self._error(
                 "Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3"
             )
+        if self.memory_kind is not None:
+            require_choice("kind of memory", self.memory_kind, MEMORY_KINDS, hint="--policy.memory_kind=events")
         if not self.inference.temperature > 0.0:
             raise self._error(
                 "Not a temperature.", ["inference"], "a number above 0", "--policy.inference.temperature=0.25"

@@ -28,7 +28,7 @@ from lerobot_adamanip.contract.schema import (
 )
 from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import ContactMemory
+from lerobot_policy_adamanip.common.contacts import ContactMemory, MotionCode, make_memory
 from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import (
@@ -194,22 +194,31 @@ class MemoryDiffusionHead(ToolHead, DiffusionHead):
     """The head for control rate: with a memory of contact events, and no rule beside the network."""
 
     MIN_MOTION = MIN_LAG_M, MIN_LAG_RAD
+    READS_MISSES = False
     memory: ContactMemory | None
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         memory = config.memory_dim if config.n_action_history_steps else 0
         condition_dim = config.encoder_out_dim + self.body_dim(config) + memory
         super().__init__(config, POINT_DIM, condition_dim, kernel_size=3, clip=4.0)
-        self.memory = ContactMemory(config.memory_dim) if memory else None
+        length = config.n_action_history_steps
+        self.memory = make_memory(config.memory_kind, config.memory_dim, length) if memory else None
 
     def condition(self, window: Window, *, use_memory: bool = True) -> Tensor:
         """Returns the conditioning vector (B, C); its part of the memory is zero without a contact event."""
         parts = [self.encoder(self.point_inputs(window)), self.body_inputs(window)]
         if self.memory is not None:
-            past = self.past(window)
-            contact = past.contact if use_memory else torch.zeros_like(past.contact)
-            parts.append(self.memory(past.events(feedback=self.config.use_feedback), contact))
+            happened, read = self.remembered(window)
+            parts.append(self.memory(happened, read if use_memory else torch.zeros_like(read)))
         return torch.cat(parts, dim=-1)
+
+    def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """See `DiffusionHead.loss`; with the loss of a code."""
+        error, weight, metrics = super().loss(window, actions, is_label)
+        if isinstance(self.memory, MotionCode):
+            code_loss = self.memory.loss(*self.remembered(window))
+            error, metrics = error + code_loss, {**metrics, "code_loss": code_loss.detach().mean()}
+        return error, weight, metrics
 
     def encode(self, actions: Tensor, window: Window) -> Tensor:
         """Returns poses (B, T, 10) as denoised values, relative to the present tool."""

@@ -23,9 +23,9 @@ from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
 from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD
 from lerobot_policy_adamanip.common import geometry
-from lerobot_policy_adamanip.common.contacts import ChoiceMemory, Past, surely_none
+from lerobot_policy_adamanip.common.config import EVENTS
+from lerobot_policy_adamanip.common.contacts import ChoiceMemory, MotionCode, Past, make_memory, surely_none
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
-from lerobot_policy_adamanip.common.geometry import SMALL, matrix_from_rotation_vector
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
 from lerobot_policy_adamanip.dp3_adaptive import rules
@@ -51,7 +51,7 @@ TRUNCATION = 1.0
 NOISES_PER_MOTION = 4
 """Number of noisy versions of a motion in a batch: the denoiser is small, compared with the encoder."""
 CORRECTION_UNITS = (0.01, 0.01, 0.01, 0.05, 0.05, 0.1, 0.1)
-"""Units of a `_correction` [m, m, m, rad, rad, -, -]."""
+"""Units of a `geometry.grasp_correction` [m, m, m, rad, rad, -, -]."""
 CENTRE = (0.0, 0.0, 0.04)
 """Centre of the nearest points, in a proposed tool's frame [m]: the part is ahead of the fingers."""
 NEAR_UNIT, NEAR_DIRECTION_SCALE = 0.1, 0.02
@@ -82,8 +82,9 @@ class ToolHead(nn.Module):
 
     MIN_MOTION: ClassVar = (MIN_SHIFT_M, MIN_TURN_RAD)
     """Least motion of a contact event [m, rad]."""
+    READS_MISSES: ClassVar = True
+    """Whether the memory also reads key frames that closed the hand on nothing."""
     config: DP3AdaptiveConfig
-    memory: nn.Module | None
 
     @staticmethod
     def body_dim(config: DP3AdaptiveConfig) -> int:
@@ -99,6 +100,13 @@ class ToolHead(nn.Module):
         commands = window.history.float()
         states = window.observations[STATE][:, -commands.shape[1] - 1 :, :ACTION_DIM]
         return Past(commands, states.float(), window.valid, self.MIN_MOTION)
+
+    def remembered(self, window: Window) -> tuple[Tensor, Tensor]:
+        """Returns `Past.events` (B, H, 16) and the mask (B, H) of those that the memory reads."""
+        past = self.past(window)
+        contact = past.contact | past.missed if self.READS_MISSES else past.contact
+        read = contact if self.config.memory_kind == EVENTS else past.valid
+        return past.events(feedback=self.config.use_feedback), read
 
     def point_inputs(self, window: Window) -> Tensor:
         """Returns features (B, N, 6) of the present cloud; in training of a random subset, with noise."""
@@ -136,6 +144,7 @@ class TruncatedHead(ToolHead):
 
     DRAWS = 4
     """Maximum number of draws of an anchor, if the drawn ones cannot be used."""
+    memory: ChoiceMemory | None
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
         super().__init__()
@@ -148,8 +157,10 @@ class TruncatedHead(ToolHead):
         refinements = (config.num_refinements, config.refinement_points, instruction_dim(config))
         self.refiner = Refiner(*refinements) if config.num_refinements else None
         # Last, so that the weights above start as those of a network without a memory.
-        has_memory = config.n_action_history_steps > 0
-        self.memory = ChoiceMemory(config.memory_dim, width, config.num_anchors) if has_memory else None
+        self.memory = None
+        if config.n_action_history_steps:
+            events = make_memory(config.memory_kind, config.memory_dim, config.n_action_history_steps)
+            self.memory = ChoiceMemory(events, config.memory_dim, width, config.num_anchors)
         self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
 
     def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
@@ -158,9 +169,7 @@ class TruncatedHead(ToolHead):
         features = self.trunk(features)
         if self.memory is None:
             return features, self.logits(features), None
-        past = self.past(window)
-        added = self.memory(features, past.events(feedback=self.config.use_feedback), past.contact | past.missed)
-        return features, self.logits(features), added
+        return features, self.logits(features), self.memory(features, *self.remembered(window))
 
     def loss(self, window: Window, actions: Tensor, is_label: Tensor) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
         """Returns the losses of choice, memory, denoising and refinement; labels are poses (B, 1, 10)."""
@@ -172,6 +181,8 @@ class TruncatedHead(ToolHead):
         if added is not None:
             # Trains the memory alone: the choice without it must not depend on it.
             losses["memory_loss"] = F.cross_entropy(logits.detach() + added, index, reduction="none")
+        if self.memory is not None and isinstance(self.memory.events, MotionCode):
+            losses["code_loss"] = self.memory.events.loss(*self.remembered(window))
         residual = (motion - motions.anchors[index]) / motions.spread[index]
         losses["denoising_loss"] = self.denoiser.loss(features, index, residual)
         if self.refiner is not None:
@@ -402,7 +413,7 @@ class Refiner(nn.Module):
         rows = torch.arange(len(goal), device=goal.device)
         near = rows.repeat_interleave(PROPOSALS_PER_GOAL)
         proposed = geometry.pose_after(sample_proposals(goal[near]), goal[near])
-        target = _correction(goal[near], proposed) / geometry.constant(CORRECTION_UNITS, goal)
+        target = geometry.grasp_correction(goal[near], proposed) / geometry.constant(CORRECTION_UNITS, goal)
         elsewhere, far = sample_elsewhere(cloud, goal)
         both = torch.cat([near, rows])
         correction, logit = self(cloud[both], torch.cat([proposed, elsewhere]), instruction[both])
@@ -421,7 +432,7 @@ class Refiner(nn.Module):
         start, logit = pose, torch.zeros_like(pose[:, 0])
         for _ in range(self.steps):
             correction, logit = self(cloud, pose, instruction)
-            pose = _corrected(pose, correction * geometry.constant(CORRECTION_UNITS, pose))
+            pose = geometry.corrected_grasp(pose, correction * geometry.constant(CORRECTION_UNITS, pose))
         shift = pose[:, POSITION_DIMS] - start[:, POSITION_DIMS]
         length = shift.norm(dim=-1, keepdim=True)
         kept = start[:, POSITION_DIMS] + shift * (REACH_M / length.clamp(min=REACH_M))
@@ -460,32 +471,6 @@ def sample_proposals(goal: Tensor) -> Tensor:
     twist = (twisted < TWIST_PROBABILITY) * (turn - 0.5) * torch.pi
     rotation = PROPOSAL_NOISE_RAD * offset[:, 3:] + F.pad(twist, (2, 0))
     return torch.cat([PROPOSAL_NOISE_M * offset[:, :3], rotation, goal[:, 9:10]], dim=-1)
-
-
-def _correction(goal: Tensor, proposed: Tensor) -> Tensor:
-    """Returns corrections from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
-
-    A grasp with swapped fingers is equivalent. So the turn is encoded as cosine and sine of its doubled angle, equal
-    for both grasps and continuous. A plain angle would be learnt as the mean of a quarter turn to either side.
-    """
-    motion = geometry.motion_between(goal, proposed)
-    turned = matrix_from_rotation_vector(motion[:, 3:6])
-    approach = turned[:, :, 2]
-    across = approach[:, :2].norm(dim=-1, keepdim=True)
-    angle = torch.atan2(across, approach[:, 2:])
-    tilt = approach[:, [1, 0]] * geometry.constant((-1.0, 1.0), goal) * angle / across.clamp(min=SMALL)
-    left = matrix_from_rotation_vector(F.pad(tilt, (0, 1))).transpose(1, 2) @ turned
-    twice = 2 * torch.atan2(left[:, 1, :1], left[:, 0, :1])
-    return torch.cat([motion[:, :3], tilt, twice.cos(), twice.sin()], dim=-1)
-
-
-def _corrected(pose: Tensor, correction: Tensor) -> Tensor:
-    """Inverts `_correction`: poses (B, 10) and corrections (B, 7) -> poses (B, 10), turned the shorter way."""
-    way, twice = correction[:, :5], correction[:, 5:]
-    turn = torch.atan2(twice[:, 1:], twice[:, :1]) / 2
-    gripper = pose[:, 9:10]
-    tilted = geometry.pose_after(torch.cat([F.pad(way, (0, 1)), gripper], dim=-1), pose)
-    return geometry.pose_after(torch.cat([F.pad(turn, (5, 0)), gripper], dim=-1), tilted)
 
 
 def _leave_out_memory(head: TruncatedHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:

@@ -12,6 +12,8 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, rotation_6d_from_matrix
+from lerobot_policy_adamanip.common.config import EVENTS, MEMORY_KINDS
+from lerobot_policy_adamanip.common.contacts import EVENT_DIM, MotionCode
 from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import MIN_SPREAD, cluster_motions
@@ -126,9 +128,10 @@ def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:
     return Window({**window.observations, schema.STATE: state.expand(3, steps + 1, -1)}, history, valid), goals
 
 
-def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
+@pytest.mark.parametrize("kind", MEMORY_KINDS)
+def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any, kind: str) -> None:
     """After one failure the second is tried, after two the third: its memory says so without the rule."""
-    policy, before, _, dataset = make_anchors(num_anchors=3)
+    policy, before, _, dataset = make_anchors(num_anchors=3, memory_kind=kind)
     window, goals = lifting(policy, policy.training_window(batch_of(dataset, before, *[6] * 3))[0])
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(80):
@@ -144,6 +147,35 @@ def test_it_counts_what_failed(make_anchors: MakeTiny, batch_of: Any) -> None:
         torch.testing.assert_close(drawn[1:], LIFTS[1:], rtol=0, atol=0.003)
         first.add(round(drawn[0].item(), 2))
     assert first == {0.02, -0.02, 0.05}  # nothing has failed yet, and nothing is to be seen
+
+
+@pytest.mark.parametrize("kind", MEMORY_KINDS)
+def test_each_kind_of_memory_reads_its_key_frames(make_anchors: MakeTiny, batch_of: Any, kind: str) -> None:
+    policy, before, _, dataset = make_anchors(memory_kind=kind)
+    window, *_ = policy.eval().training_window(batch_of(dataset, before))
+    past, read = policy.model.past(window), policy.model.remembered(window)[1]
+    contact = past.contact | past.missed
+    assert torch.equal(read, contact if kind == EVENTS else past.valid)
+    assert not torch.equal(contact, past.valid)
+    added = policy.model(window)[2]
+    assert added is not None
+    assert not added[~read.any(dim=1)].any()
+
+
+def test_a_code_learns_the_past_motions_and_nothing_from_the_policy() -> None:
+    torch.manual_seed(0)
+    code, happened = MotionCode(64, 4), torch.randn(8, 4, EVENT_DIM)
+    read = torch.arange(4) >= torch.arange(8)[:, None] % 4
+    assert not code(happened, read).requires_grad
+    optimizer, losses = torch.optim.AdamW(code.parameters(), lr=3e-3), []
+    for _ in range(150):
+        optimizer.zero_grad()
+        losses.append(code.loss(happened, read).mean())
+        losses[-1].backward()
+        optimizer.step()
+    assert losses[-1] < 0.05 * losses[0]
+    unread = torch.where(read[..., None], happened, torch.randn_like(happened))
+    assert torch.equal(code.loss(happened, read), code.loss(unread, read))
 
 
 def test_before_the_first_contact_it_is_the_policy_without_a_history(make_anchors: MakeTiny, batch_of: Any) -> None:
