@@ -42,6 +42,9 @@ OBJECT_SPLITS = ("seen", "unseen", "novel")
 METHODS_GROUP = "lerobot_adamanip.benchmark_methods"
 """Entry point group for methods of other packages; each one loads the content of a table ``[methods.NAME]``."""
 _OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _, or an empty text")
+_CHECKPOINT = text(
+    r"|[\w-]{1,96}/[\w.{}-]{1,96}", "USER/NAME of a checkpoint on the Hub; {category} may be a part of it"
+)
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
 _COUNT = integer(1, 10**8)
 _OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
@@ -111,6 +114,8 @@ class Method:
         expert: options of `adamanip expert`, instead of a policy.
         options: ``--policy.NAME=VALUE`` options of the policy.
         demonstrations: name of the training set; empty for a policy without training.
+        checkpoint: trained policy on the Hub, ``{category}`` stands for the cell's. It is not trained further; then
+            ``demonstrations`` says what it observes.
         rounds: correction rounds after the first training.
         data_of: method whose demonstrations and corrections of all categories are the training set: one policy for all.
         train: additional options of ``lerobot-train``; they override the scale's.
@@ -127,6 +132,7 @@ class Method:
     expert: Annotated[tuple[str, ...], _OPTIONS] = ()
     options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
     demonstrations: Annotated[str, _OPTIONAL_NAME] = ""
+    checkpoint: Annotated[str, _CHECKPOINT] = ""
     rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
     data_of: Annotated[str, _OPTIONAL_NAME] = ""
     train: Annotated[tuple[str, ...], _OPTIONS] = ()
@@ -139,8 +145,8 @@ class Method:
 
     @property
     def is_trained(self) -> bool:
-        """Whether the method learns from data."""
-        return bool(self.demonstrations or self.data_of)
+        """Whether the method learns from data here."""
+        return bool(self.demonstrations or self.data_of) and not self.checkpoint
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -294,6 +300,9 @@ def _check_method(declaration: Declaration, name: str, method: Method) -> None:
     _require(f"methods.{name}.demonstrations", method.demonstrations, ("", *declaration.demonstrations))
     if bool(method.policy) == bool(method.expert) or (method.expert and (method.demonstrations or method.data_of)):
         raise ValueError(f"methods.{name} needs a policy, or an expert without demonstrations")
+    training = ("expert", "rounds", "data_of", "options", "train")
+    if method.checkpoint and (unused := [field_name for field_name in training if getattr(method, field_name)]):
+        raise ValueError(f"methods.{name} has a checkpoint, which is not trained, and {unused[0]}; evaluate is allowed")
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
     with_data = [other for other, one in declaration.methods.items() if one.demonstrations]

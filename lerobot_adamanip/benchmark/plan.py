@@ -221,7 +221,7 @@ def plan(cell: Cell, declaration: Declaration, scale_name: str, versions: KeyVer
     like = declaration.demonstrations[demonstrations] if demonstrations else Demonstrations()
     rules = scale.mechanism_rules or like.mechanism_rules
     like = replace(like, poses=scale.poses or like.poses, mechanism_rules=rules)
-    training = _learning(cell, declaration, scale_name, versions, like=like)[1] if demonstrations else None
+    training = _learning(cell, declaration, scale_name, versions, like=like)[1] if method.is_trained else None
     return _evaluation(cell, method, scale, versions, like=like, training=training)
 
 
@@ -367,14 +367,15 @@ def _evaluation(
 ) -> Step:
     """Returns the evaluation of a policy, trained or not, or of an expert, in the scenes of demonstrations ``like``."""
     untrained = (f"--policy.type={method.policy}", *method.options)
-    trained = () if training is None else (f"--policy.path={last_checkpoint(training.product)}",)
+    path = method.checkpoint.replace("{category}", cell.category)
+    path = path if training is None else str(last_checkpoint(training.product))
     pictures = (f"--env.image_size={like.image_size}",) if like.image_size else ()
     cloud = f"--env.observe_cloud={'true' if like.cloud else 'false'}"
     dense = (*_dense_options(like, "--env."), cloud) if like.is_dense else ()
     product = f"{FOLDERS[EVALUATE]}/{_KEY}"
     command = _command(
         "lerobot-eval",
-        *(trained or untrained),
+        *((f"--policy.path={path}",) if path else untrained),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
         f"--env.objects={scale.tested_objects(cell.category, cell.objects)}",

@@ -91,6 +91,8 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/theirs", {"title": "a", "like": "theirs"}, "methods.theirs.like is 'theirs'"),
         ("methods/theirs", {"like": "ours"}, "methods.theirs lacks title"),
         ("methods/theirs", {"title": "a", "expert": ["--a=b"], "demonstrations": "static"}, "without demonstrations"),
+        ("methods/ours/checkpoint", "act", "USER/NAME of a checkpoint"),
+        ("methods/theirs", {"title": "a", "policy": "b", "checkpoint": "c/d", "train": ["--a=b"]}, "has a checkpoint"),
         ("methods/ours/data_of", "untrained", "methods.ours.data_of is 'untrained'"),
         ("methods/ours/data_of", "ours_on_static", "methods.ours has data_of another method"),
         ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),

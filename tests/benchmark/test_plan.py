@@ -158,6 +158,19 @@ def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
     assert {"--policy.type=luck", "--policy.luck=0.5"} < set(found[EVALUATE].command)
 
 
+def test_a_checkpoint_on_the_hub_is_tested_and_not_trained() -> None:
+    methods = content()["methods"]
+    given = {"title": "Given", "policy": "act", "checkpoint": "me/act-{category}", "demonstrations": "adaptive"}
+    pictures = {"adaptive": {"image_size": 96}, "static": {}}
+    chosen = declared(methods={**methods, "given": given}, demonstrations=pictures)
+    found = steps(chosen, which=cell("given"))
+    assert set(found) == {EVALUATE}
+    category = option(found[EVALUATE].command, "--env.type").removeprefix("adamanip_")
+    assert option(found[EVALUATE].command, "--policy.path") == f"me/act-{category}"
+    assert option(found[EVALUATE].command, "--env.image_size") == "96", "it observes what its demonstrations hold"
+    assert len({each.seed for each in all_cells(chosen, SCALE) if each.method == "given"}) == 1
+
+
 def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     methods = {**content()["methods"], "expert": {"title": "Expert", "expert": ["--expert=static", "--trials=2"]}}
     scale = {
