@@ -42,8 +42,11 @@ def test_adamanip_commands_parse(words: list[str]) -> None:
     parse_command(words[1], words[2:])
 
 
-DOWNLOADED = {"lerobot/smolvla_base": "smolvla"}
-"""Checkpoints of the Hub that the documents name, and the kinds of their policies."""
+CHECKPOINTS = {
+    "lerobot/smolvla_base": "smolvla",
+    "outputs/first_act/checkpoints/last/pretrained_model": "act",
+}
+"""Checkpoints whose policies get options in the documents, and the kinds of these policies."""
 
 
 def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
@@ -55,8 +58,8 @@ def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
     if words[0] == "accelerate":
         words = ["lerobot-train", *words[words.index("$(which lerobot-train)") + 1 :]]
     files = ("--policy.path=", "--config_path=")
-    downloaded = [f"--policy.type={kind}" for path, kind in DOWNLOADED.items() if f"--policy.path={path}" in words]
-    return kinds[words[0]], [*downloaded, *(word for word in words[1:] if not word.startswith(files))]
+    known = [f"--policy.type={kind}" for path, kind in CHECKPOINTS.items() if f"--policy.path={path}" in words]
+    return kinds[words[0]], [*known, *(word for word in words[1:] if not word.startswith(files))]
 
 
 @pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval"), *commands("accelerate")])

@@ -87,6 +87,10 @@ class CollectCommand:
     """Memory of felt tries. events: numbers in observation.environment_state, for ACT and diffusion. text: a sentence
     after the instruction, for SmolVLA and pi0.5. `adamanip memory` adds it later."""
 
+    unscaled_poses: bool = False
+    """Leave rotation and gripper of poses unscaled in meta/stats.json, for policies that normalise each number, such as
+    ACT: a number that hardly varies would be magnified."""
+
     num_points: int = schema.DEFAULT_NUM_POINTS
     """Points per cloud. The paper uses 4096; LeRobot reads fewer much faster."""
 
@@ -195,12 +199,15 @@ class CollectCommand:
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
                 from lerobot_adamanip.collection.collect import collect
+                from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 
                 summary = collect(self.root, spec, self._factories(), options, progress)
         except KeyboardInterrupt:
             command = shlex.join(["adamanip", *sys.argv[1:]])
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
+        if self.unscaled_poses and self.part is None:
+            leave_poses_unscaled(self.root)
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         text = summary_text(summary, self.part, self.adopt, "policy" if self.policy else "expert")
         print_result(self.json, {**dataclasses.asdict(summary), **rate}, text)

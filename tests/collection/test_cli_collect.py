@@ -62,6 +62,20 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
 
 
 @pytest.mark.usefixtures("fake")
+def test_poses_are_left_unscaled_on_request_and_the_rows_stay(tmp_path: Path) -> None:
+    roots = [tmp_path / "measured", tmp_path / "unscaled"]
+    for root, words in zip(roots, ([], ["--unscaled-poses"]), strict=True):
+        assert main(["collect", str(root), *SMALL, *words]) == 0
+    statistics = [json.loads((root / "meta" / "stats.json").read_text())["action"] for root in roots]
+    assert statistics[1]["mean"][3:] == [0.0] * 7
+    assert statistics[1]["std"][3:] == [1.0] * 7
+    assert statistics[0]["mean"][:3] == statistics[1]["mean"][:3]
+    assert statistics[0]["std"][3:] != statistics[1]["std"][3:]
+    rows = [dataset.columns(dataset.episode(0))["action"].tobytes() for dataset in map(Dataset, roots)]
+    assert rows[0] == rows[1]
+
+
+@pytest.mark.usefixtures("fake")
 def test_ctrl_c_stops_cleanly_and_says_how_to_resume(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dataset"
     script = tmp_path / "adamanip"
