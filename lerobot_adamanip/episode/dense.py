@@ -33,7 +33,7 @@ FINGERS_REST = 0.02
 """Change of the gripper's opening in one step below which the fingers stand still."""
 CLOSE, ALIGNED = 0.004, 0.04
 """Position [m] and rotation [rad] left to a goal with which the next key frame starts before the arm is at rest.
-Waiting at each goal would make a third of the rows idle, from which policies learn to stand still."""
+Waiting for rest at each goal, and a fixed time for the fingers, made 88 rows of a bottle's 66."""
 
 
 class DenseEnvironment(SimulatedEnvironment, Protocol):
