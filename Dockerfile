@@ -6,6 +6,6 @@ FROM python:3.12-slim-bookworm
 RUN apt-get update && apt-get install -y --no-install-recommends make && rm -rf /var/lib/apt/lists/*
 WORKDIR /adamanip
 COPY . .
-RUN make setup && rm -rf /root/.cache /var/lib/apt/lists/*
+RUN PIP_NO_CACHE_DIR=1 make setup && rm -rf /var/lib/apt/lists/*
 ENV PATH=/adamanip/.venv/bin:$PATH
 CMD ["make", "demo"]
