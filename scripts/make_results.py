@@ -7,7 +7,6 @@ were measured with another simulation version than the present one. results/arch
 
 from __future__ import annotations
 
-import re
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
@@ -15,7 +14,7 @@ from pathlib import Path
 from check_common import ROOT, document_command
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, read_declaration
-from lerobot_adamanip.benchmark.leaderboard import TRAINING_SEED, leaderboard_page, problems
+from lerobot_adamanip.benchmark.leaderboard import leaderboard_page, read_entry
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report
 from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page, summary
 from lerobot_adamanip.contract.versions import earlier_version, mixed_versions
@@ -23,7 +22,6 @@ from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.report import OBJECT_SPLITS
 from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, read_results
 from lerobot_adamanip.evaluation.text_format import csv_table, duration_text, markdown_table, percent_text, words
-from lerobot_adamanip.util.errors import DatasetError
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
@@ -67,22 +65,6 @@ def declarations(folder: Path) -> list[Path]:
     return [*sorted(PAPER_TABLE.parent.glob("*.toml")), *sorted((folder / "benchmark").glob("*/declaration.toml"))]
 
 
-def entries(folder: Path) -> dict[str, list[ResultFile]]:
-    """Returns name -> result files of the leaderboard's entries; raises `DatasetError` if one is incomplete."""
-    others = {path.name: list(read_results(path).values()) for path in sorted((folder / "leaderboard").glob("*/"))}
-    for name, results in others.items():
-        if lacking := list(problems(results)):
-            raise DatasetError(
-                "Not an entry of the leaderboard.",
-                got=f"{name}: {'; '.join(lacking)}",
-                allowed="see docs/leaderboard.md",
-                hint="repeat the evaluation",
-            )
-    results = read_results(folder / "benchmark" / "test_0_2")
-    ours = [one for name, one in results.items() if re.fullmatch(rf"corrected-.*-{TRAINING_SEED}\.json", name)]
-    return {"dp3_adaptive 0.2.0 (this project)": ours, **others} if ours and not any(problems(ours)) else others
-
-
 def documents(folder: Path) -> dict[Path, str]:
     """Returns document -> text."""
     results = read_results(folder)
@@ -93,7 +75,7 @@ def documents(folder: Path) -> dict[Path, str]:
         PAGE: results_page(results, reports),
         PAGE.with_suffix(".csv"): csv,
         README: with_block(README.read_text(encoding="utf-8"), readme_block(results, reports)),
-        BOARD: leaderboard_page(entries(folder)),
+        BOARD: leaderboard_page({path.name: read_entry(path) for path in sorted((folder / "leaderboard").glob("*/"))}),
     }
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import dataclasses
 import importlib.util
-import itertools
 import re
 import shutil
 from pathlib import Path
@@ -15,8 +14,6 @@ import pytest
 from benchmark_helpers import FakeRunner, benchmark, run_all
 from records import record
 
-from lerobot_adamanip.benchmark.leaderboard import EPISODES, SEEDS, leaderboard_page, problems
-from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import Metrics
 from lerobot_adamanip.evaluation.rates import rate
@@ -30,7 +27,7 @@ from lerobot_adamanip.evaluation.results import (
     write_result,
 )
 from lerobot_adamanip.evaluation.text_format import csv_table
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
 SPEC = importlib.util.spec_from_file_location("make_results", ROOT / "scripts" / "make_results.py")
@@ -153,40 +150,3 @@ def test_results_of_a_benchmark_have_their_part_of_the_page(tmp_path: Path) -> N
     assert "\n## Benchmark, scale cpu\n" in page
     assert re.search(r"^\| Ours, seen \| [\d.]+/[\d.]+ \|", page, re.MULTILINE)
     assert "| method, objects | safe |\n" in page, "a category without a result is left out"
-
-
-def test_the_leaderboard_takes_whole_entries_of_known_origin_best_first(tmp_path: Path) -> None:
-    run_all(benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake")))
-    cell = read_result(tmp_path / "out" / "cells" / "ours-safe-seen-1000.json")
-
-    def entry(success: int, **changes: Any) -> list[ResultFile]:
-        metrics = Metrics(success=rate(success, EPISODES), within_best_tries=rate(success // 2, EPISODES))
-        rows = [ResultRow("Ours", "paper", *place, metrics) for place in itertools.product(CATEGORIES, SPLITS)]
-        return [dataclasses.replace(cell, **{"rows": (one,), "seeds": SEEDS, **changes}) for one in rows]
-
-    page = leaderboard_page({"weak": entry(40), "strong": entry(80)})
-    lines = [line.split(" | ") for line in page.splitlines() if line.startswith("| ")]
-    assert [line[0].strip("| ") for line in lines[-2:]] == ["strong", "weak"]
-    assert lines[-2][1:5] == ["40.0 %", "80.0 %", "80.0 %", "80.0 %"]
-    assert "No entry yet." in leaderboard_page({})
-    assert list(problems(entry(40))) == []
-    assert list(problems(entry(40)[1:])) == ["not one result of each category and split of objects"]
-    broken: list[tuple[dict[str, Any], str]] = [
-        ({"changed": True}, "from none"),
-        ({"commit": None}, "from none"),
-        ({"scenes": "validation"}, "validation scenes"),
-        ({"seeds": (1, 100)}, "scenes from 1, not 100"),
-        ({"run": None}, "not a benchmark's result"),
-    ]
-    for changes, text in broken:
-        found = list(problems(entry(40, **changes)))
-        assert len(found) == len(CATEGORIES) * len(SPLITS)
-        assert all(text in each for each in found)
-    mixed = [*entry(40)[1:], entry(40, simulation_version=1)[0]]
-    assert list(problems(mixed)) == [f"simulation versions 1 and {SIMULATION_VERSION}"]
-    write_result(tmp_path / "leaderboard" / "theirs" / "one.json", cell)
-    with pytest.raises(DatasetError, match="Not an entry"):
-        make_results.documents(tmp_path)
-
-
-SPLITS = ("seen", "unseen", "novel")

@@ -124,6 +124,7 @@ class Method:
         train_at: scale or category -> options of ``lerobot-train`` that override ``train``.
         scales: scales that have the method; empty for all.
         paper: name in the paper; empty if the paper does not have the method.
+        learns_from: for the leaderboard, a line about data and teachers that the declaration does not show.
         package: distribution that declares it; empty for the declaration itself.
     """
 
@@ -141,6 +142,7 @@ class Method:
     train_at: Annotated[Mapping[str, tuple[str, ...]], mapping(NAME, _OPTIONS, 20)] = field(default_factory=dict)
     scales: Annotated[tuple[str, ...], listing(NAME, 0, 20)] = ()
     paper: Annotated[str, choice(("", *SUCCESS))] = ""
+    learns_from: Annotated[str, text(r"[^\r\n|*`<>]{0,120}", "a line of plain text")] = ""
     package: str = ""
 
     @property

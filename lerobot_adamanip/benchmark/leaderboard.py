@@ -1,75 +1,131 @@
-"""Leaderboard: self-reported results of methods on the same test scenes, from result files alone."""
+"""Leaderboard: self-reported results of methods on the hard tracks, from result files alone."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
 
-from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.report import opened, within
-from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.versions import earlier_version
-from lerobot_adamanip.evaluation.metrics import METRICS
-from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
+from lerobot_adamanip.benchmark.plan import Cell, all_cells, cell_of, options_key
+from lerobot_adamanip.benchmark.report import within
+from lerobot_adamanip.evaluation.metrics import METRICS, pool
+from lerobot_adamanip.evaluation.results import ResultFile, read_results
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
+from lerobot_adamanip.util.errors import DatasetError
 
-TRAINING_SEED, EPISODES, SEEDS = 1000, 100, (700000, 700099)
-"""Requirements of an entry: training seed, scenes per category and split of objects, first and last scene seed."""
+TRACKS = PAPER_TABLE.with_name("tracks.toml")
+SCALES = ("row", "changing", "real_sensors")
+"""Scales of `TRACKS` that an entry has all cells of."""
+DECLARATION = "declaration.toml"
 RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
 
-An entry is a folder of result files, by pull request to `results/leaderboard/NAME/`. Copy
-`lerobot_adamanip/benchmark/default_policy.toml` to `mine.toml`, add a table `[methods.mine]`
-([fields](benchmark.md#the-declaration)), and run, in a checkout without changes:
+An entry is a folder, by pull request to `results/leaderboard/NAME/`: a declaration, and a result file of each cell.
+Copy `lerobot_adamanip/benchmark/tracks.toml` to `results/leaderboard/NAME/{DECLARATION}` and add a table
+`[methods.mine]` with `scales = [{", ".join(f'"{name}"' for name in SCALES)}]` ([fields](benchmark.md#the-declaration)).
+In a checkout without changes:
 
 ```bash
-adamanip benchmark --config mine.toml --scale test --methods mine --seeds {TRAINING_SEED} # 27 cells
-mkdir -p results/leaderboard/NAME && cp outputs/benchmark/test/cells/mine-*.json results/leaderboard/NAME
-python scripts/make_results.py # writes this page; refuses files that are incomplete or of other scenes
+for scale in {" ".join(SCALES)}; do
+    adamanip benchmark --config results/leaderboard/NAME/{DECLARATION} --scale $scale --methods mine
+    mkdir -p results/leaderboard/NAME/$scale
+    cp outputs/benchmark/$scale/cells/mine-*.json results/leaderboard/NAME/$scale
+done
+python scripts/make_results.py # writes this page; refuses entries with missing cells or changed scenes
 ```
 
-Train on demonstrations of seen objects alone, choose your method on validation scenes, and run the test scenes once.
-This project's row is of version 0.2.0. Its unseen and novel objects are others, and two choices were made with test
-results at hand: its head, and [what counts as a failed try](benchmark.md#the-declaration).
+Allowed, and told in `learns_from`: pretrained weights, data of your own, a teacher that sees the hidden state, a
+checkpoint on the Hub instead of a training. Not allowed: learning from unseen or novel objects, or choosing a method by
+these scenes. The policy may not read the simulator.
+
+`python scripts/check_entry.py results/leaderboard/NAME --evaluate` trains and evaluates an entry again, or evaluates
+its checkpoint, and compares each cell.
 """
 
 
-def problems(results: Sequence[ResultFile]) -> Iterator[str]:
-    """Yields what an entry lacks: a category or split, the scenes of all entries, or the origin of its numbers."""
-    places = [(result.rows[0].category, result.rows[0].objects) for result in results]
-    if sorted(places) != sorted(itertools.product(CATEGORIES, OBJECT_SPLITS)):
-        yield "not one result of each category and split of objects"
-    for result in results:
-        name = f"{result.rows[0].category} {result.rows[0].objects}"
-        if result.run is None or result.run.seed != TRAINING_SEED:
-            yield f"{name}: not a benchmark's result with training seed {TRAINING_SEED}"
-        if result.commit is None or result.changed:
-            yield f"{name}: made from a commit with changes, or from none"
-        episodes = result.rows[0].metrics.success.episodes
-        if (result.scenes, result.seeds, episodes) != ("test", SEEDS, EPISODES):
-            yield f"{name}: {episodes} {result.scenes} scenes from {result.seeds[0]}, not {EPISODES} from {SEEDS[0]}"
-    if len(versions := {str(result.simulation_version) for result in results}) > 1:
+@dataclass(frozen=True)
+class LeaderboardEntry:
+    """An entry: ``method``'s results, scale -> cell -> result file."""
+
+    method: Method
+    results: Mapping[str, Mapping[Cell, ResultFile]]
+
+    @property
+    def learns_from(self) -> str:
+        """What the method learns from: its own words, or what it declares."""
+        if self.method.learns_from or not self.method.is_trained:
+            return self.method.learns_from
+        return f"the benchmark's demonstrations{' and corrections' if self.method.rounds else ''}"
+
+    def row(self) -> tuple[float, list[str]]:
+        """Returns the share that decides the order, and the cells of the table after the name."""
+        places: dict[tuple[str, str], list[float]] = {}
+        for scale, results in self.results.items():
+            for cell, result in results.items():
+                share = within(result.rows[0].metrics)
+                places.setdefault((scale, cell.objects), []).append((share and share.rate) or 0.0)
+        means = [sum(shares) / len(shares) for shares in places.values()]
+        pooled = pool(result.rows[0].metrics for results in self.results.values() for result in results.values())
+        new = {count: share.rate for count, share in (pooled.untried or {}).items()}
+        process = [pooled.repeated.rate if pooled.repeated else None, new.get(1), new.get(2)]
+        mean = sum(means) / len(means)
+        return mean, [self.learns_from, *map(percent_text, (mean, *means, *process))]
+
+
+def read_entry(folder: Path) -> LeaderboardEntry:
+    """Reads an entry; raises `DatasetError` that says what it lacks, and `ConfigurationError` for its declaration."""
+    declaration = read_declaration(folder / DECLARATION)
+    results = {scale: list(read_results(folder / scale).values()) for scale in SCALES}
+    if lacking := list(problems(declaration, results)):
+        raise DatasetError(
+            "Not an entry of the leaderboard.",
+            got=f"{folder.name}: {'; '.join(lacking)}",
+            allowed="see docs/leaderboard.md",
+            hint="repeat the evaluation",
+        )
+    by_cell = {scale: {cell_of(one): one for one in each} for scale, each in results.items()}
+    name = next(iter(by_cell[SCALES[0]])).method
+    return LeaderboardEntry(declaration.methods[name], by_cell)
+
+
+def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) -> Iterator[str]:
+    """Yields what an entry lacks: a cell, the scenes of all entries, or the origin of its numbers."""
+    tracks = read_declaration(TRACKS)
+    methods = {one.run.method for each in results.values() for one in each if one.run}
+    if len(methods) != 1 or not methods <= declaration.methods.keys():
+        yield f"results of {', '.join(sorted(methods)) or 'no method'}, not of one declared method"
+        return
+    (name,) = methods
+    method = declaration.methods[name]
+    if method.checkpoint and not method.learns_from:
+        yield "learns_from does not say what its checkpoint learned from"
+    for scale in SCALES:
+        if declaration.scales.get(scale) != tracks.scales[scale]:
+            yield f"scale {scale} is not that of {TRACKS.name}"
+            continue
+        wanted = {cell for cell in all_cells(declaration, scale) if cell.method == name}
+        found = {cell_of(one): one for one in results[scale] if one.run}
+        if missing := sorted(cell.name for cell in wanted - found.keys()):
+            yield f"{scale}: {len(missing)} of {len(wanted)} cells are missing, such as {missing[0]}"
+        for cell in sorted(found.keys() & wanted, key=str):
+            result = found[cell]
+            if result.commit is None or result.changed:
+                yield f"{scale}, {cell.name}: made from a commit with changes, or from none"
+            if result.run and result.run.options != options_key(cell, declaration, scale):
+                yield f"{scale}, {cell.name}: made with other options than declared"
+    if len(versions := {str(one.simulation_version) for each in results.values() for one in each}) > 1:
         yield f"simulation versions {' and '.join(sorted(versions))}"
 
 
-def leaderboard_page(entries: Mapping[str, Sequence[ResultFile]]) -> str:
-    """Returns the leaderboard as Markdown, best entry first; ``entries``: name of an entry -> its result files."""
-    rows = []
-    for name, results in entries.items():
-        shares = [("seen", within), *((objects, opened) for objects in OBJECT_SPLITS)]
-        means = []
-        for objects, share in shares:
-            rates = [share(result.rows[0].metrics) for result in results if result.rows[0].objects == objects]
-            means.append(sum(rate.rate or 0.0 for rate in rates if rate) / len(rates))
-        version = ", ".join(sorted({str(result.simulation_version) for result in results}))
-        rows.append((means, [name, *map(percent_text, means), version]))
+def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
+    """Returns the leaderboard as Markdown, best entry first; ``entries``: name -> entry."""
     titles = [
-        "entry",
-        f"{METRICS['within_best_tries'].title}, seen",
-        *(f"opened, {objects}" for objects in OBJECT_SPLITS),
-        "simulation version",
-    ]
-    lines = [line for _, line in sorted(rows, key=lambda row: row[0], reverse=True)]
+        "entry", "learns from", "mean", "locks in a row", "a lock that changes", "D435, unseen objects",
+        "D435, novel objects", METRICS["repeated"].title, "something new after one", "after two",
+    ]  # fmt: skip
+    rows = {name: entry.row() for name, entry in entries.items()}
+    lines = [[name, *cells] for name, (_, cells) in sorted(rows.items(), key=lambda item: item[1][0], reverse=True)]
     table = markdown_table(titles, lines) if lines else "No entry yet."
-    earlier = earlier_version(result.simulation_version for results in entries.values() for result in results)
-    explanation = f"Means over nine categories, of training seed {TRAINING_SEED}; the first column decides the order."
-    return f"# Leaderboard\n\n{table}\n\n{f'{explanation} {earlier}'.strip()}\n\n## To enter\n\n{RULE}"
+    explanation = f"""Opened {METRICS["within_best_tries"].title.removeprefix("opened ")}, means over the categories of
+three [tracks](tracks.md); the mean of the four decides the order."""
+    return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"

@@ -1,0 +1,54 @@
+"""Checks an entry of the leaderboard: ``python scripts/check_entry.py results/leaderboard/NAME [--evaluate]``.
+
+With ``--evaluate`` it trains and evaluates the entry again, under ``--out``, and compares each cell. A checkpoint on
+the Hub is only evaluated. Exits 1 if a cell differs. On another machine, torch rounds otherwise: trainings differ.
+"""
+
+from __future__ import annotations
+
+import argparse
+import subprocess
+import sys
+from pathlib import Path
+
+from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, read_entry
+from lerobot_adamanip.benchmark.report import opened, within
+from lerobot_adamanip.evaluation.results import ResultFile, read_result
+from lerobot_adamanip.util.errors import AdaManipError
+
+
+def main() -> int:
+    """Checks the entry. Returns 0 on success, 1 if a cell differs, 2 if it is not an entry."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("entry", type=Path)
+    parser.add_argument("--evaluate", action="store_true", help="train and evaluate again")
+    parser.add_argument("--out", type=Path, default=Path("outputs/entry"))
+    options = parser.parse_args()
+    try:
+        entry = read_entry(options.entry)
+    except AdaManipError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    differing = 0
+    for scale in SCALES:
+        cells = entry.results[scale]
+        sys.stdout.write(f"{scale}: {len(cells)} cells of {entry.method.title}\n")
+        if options.evaluate:
+            name = next(iter(cells)).method
+            command = ["adamanip", "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
+            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=True)
+            for cell, published in cells.items():
+                again = read_result(options.out / scale / "cells" / f"{cell.name}.json")
+                differing += _text(again) != _text(published)
+                sys.stdout.write(f"  {cell.name}: {_text(published)}; again {_text(again)}\n")
+    return int(differing > 0)
+
+
+def _text(result: ResultFile) -> str:
+    metrics = result.rows[0].metrics
+    counts = [share.count if share else "-" for share in (opened(metrics), within(metrics))]
+    return f"opened {counts[0]}, within {counts[1]} of {metrics.success.episodes}"
+
+
+if __name__ == "__main__":
+    sys.exit(main())
