@@ -217,7 +217,7 @@ def spans(document: str) -> list[str]:
 PRESENT = [document for document in DOCUMENTS if document != "CHANGELOG.md"]
 OTHERS = {
     "--resume", "--steps", "--policy.path", "--policy.type", "--env.", "--env.categories", "--env.server",
-    "--write", "--first-seed", "--result",
+    "--write", "--first-seed", "--result", "--evaluate",
 }  # fmt: skip
 """Options that the documents name of LeRobot and of scripts."""
 

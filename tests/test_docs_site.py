@@ -86,7 +86,7 @@ def test_code_outside_docs_is_shown_as_it_is(site: Path) -> None:
     shown = plain(article(site, "repository/examples/own_expert.py.md"))
     source = (ROOT / "examples" / "own_expert.py").read_text(encoding="utf-8")
     assert "".join(source.split()) in "".join(shown.split())
-    assert 'href="repository/examples/own_expert.py/"' in article(site, "index.md")
+    assert 'href="../repository/examples/own_expert.py/"' in article(site, "python.md")
 
 
 @pytest.mark.nightly

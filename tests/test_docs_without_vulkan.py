@@ -25,8 +25,11 @@ PICTURES = ("VISUAL", "adamanip objects", "outputs/act/")
 """Words of commands that need pictures, and of those that come after them."""
 AFTER_TRAINING = "outputs/corrections"
 """The tutorial tells of corrections, which need a trained policy, before it trains one."""
-ONE_CATEGORY = {"--env.type=adamanip": ("--env.categories=safe",)}
-"""Nine simulators, one after the other, take minutes."""
+ADDED = {
+    "--env.type=adamanip": ("--env.categories=safe",),
+    "--policy.type=act": ("--policy.pretrained_backbone_weights=null",),
+}
+"""Word of a command -> options after it: nine simulators, one after the other, take minutes; weights need a network."""
 
 
 def smallest(words: list[str]) -> list[str]:
@@ -37,7 +40,7 @@ def smallest(words: list[str]) -> list[str]:
     for word in words:
         key, _, value = word.partition("=")
         if not skip and key not in changed:
-            kept += [word, *ONE_CATEGORY.get(word, ())]
+            kept += [word, *ADDED.get(word, ())]
         skip = key in changed and not value
     pairs = [list(pair) if ours else ["=".join(pair)] for pair in changed.items()]
     return [*kept, *(word for pair in pairs for word in pair)]

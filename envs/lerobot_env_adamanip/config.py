@@ -102,7 +102,7 @@ class AdaManipEnvConfig(EnvConfig):
     repeats: int = 1
     # Split of scenes, without overlap: train, validation (for selection), or test (for reported numbers).
     split: str = "validation"
-    # Source of point clouds: raycast (no renderer), or render (ten times slower). The clouds are equal.
+    # Source of point clouds: raycast (no renderer), or render (seven times slower). The clouds are equal.
     cloud_source: str = "raycast"
     # Errors of sensors: exact, d435 (a calibrated D435), rough, or one of them with single parts changed, for instance
     # d435,camera_error_mm=20. See docs/sensing.md.

@@ -127,5 +127,5 @@ def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
     lines = [[name, *cells] for name, (_, cells) in sorted(rows.items(), key=lambda item: item[1][0], reverse=True)]
     table = markdown_table(titles, lines) if lines else "No entry yet."
     explanation = f"""Opened {METRICS["within_best_tries"].title.removeprefix("opened ")}, means over the categories of
-three [tracks](tracks.md); the mean of the four decides the order."""
+three [tracks](tracks.md); the mean of the four columns decides the order."""
     return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import runpy
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,19 @@ def test_the_best_entry_comes_first(enter: MakeEntry) -> None:
     assert lines[-2][1] == "the benchmark's demonstrations"
     assert lines[-2][2:] == [*["40.0 %"] * 5, "25.0 %", "75.0 %", "50.0 %"]
     assert "No entry yet." in leaderboard_page({})
+
+
+def test_a_script_checks_an_entry(
+    enter: MakeEntry, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "check_entry.py"))
+    folder = enter("mine", 30)
+    monkeypatch.setattr("sys.argv", ["check_entry.py", str(folder)])
+    assert script["main"]() == 0
+    assert "real_sensors: 18 cells of dp3_adaptive" in capsys.readouterr().out
+    next((folder / "row").glob("*.json")).unlink()
+    assert script["main"]() == 2
+    assert "1 of 7 cells are missing" in capsys.readouterr().err
 
 
 def test_an_entry_has_every_cell_of_declared_scenes(enter: MakeEntry) -> None:

@@ -75,7 +75,7 @@ def test_the_command_lists_it_unless_another_declaration_is_given(tmp_path: Path
     """And lists the method that docs/benchmark.md declares, in its declaration."""
     hold_still(tmp_path, registered=True)
     page = (ROOT / "docs" / "benchmark.md").read_text(encoding="utf-8")
-    (method,) = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
+    method, *_ = re.findall(r"^```toml\n(.*?)^```$", page, re.MULTILINE | re.DOTALL)
     (tmp_path / "mine.toml").write_text(PAPER_TABLE.read_text(encoding="utf-8") + method)
     paths = os.pathsep.join([str(tmp_path), str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")])
     line = [sys.executable, "-m", "lerobot_adamanip.cli.main", "benchmark", "--list", "--json", "--scale", "smoke"]

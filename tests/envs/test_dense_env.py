@@ -173,6 +173,7 @@ def until_it_opens(record: dict[str, Any]) -> list[tuple[int, int, bool]]:
     return [key for key, _ in itertools.groupby(tries[: opening + 1])]  # type: ignore[misc]
 
 
+@pytest.mark.sim
 @at_once_or_at_night("category", CATEGORIES, ("bottle", "safe"))
 def test_key_frames_and_control_rate_open_an_object_by_the_same_tries(category: str) -> None:
     dense, key = dense_env(category), KeyframeEnv(category, observe_images=False)

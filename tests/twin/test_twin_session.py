@@ -195,7 +195,7 @@ def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(re
 
 @pytest.mark.nightly
 def test_real_time_is_fast_enough_for_people() -> None:
-    """One camera at 8 Hz or more, its frames at most 150 ms old (p95), fewer than 5 % of a 30 Hz loop's ticks late."""
+    """One camera at 8 Hz or more, its frames at most 150 ms old (p95), fewer than 5 % of a 10 Hz loop's ticks late."""
     from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
     from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 
