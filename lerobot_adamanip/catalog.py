@@ -30,14 +30,9 @@ FOR_TESTS = "_test"
 ObjectSplit = Literal["seen", "unseen", "novel"]
 
 
-def categories() -> tuple[str, ...]:
-    """Returns the names of the categories."""
-    return tuple(CATEGORIES)
-
-
 def object_id(category: str, number: int, *, novel: bool = False) -> str:
     """Returns ``safe_007`` for ("safe", 7), and ``safe_n007`` for the novel object of that number."""
-    return f"{require_choice('category', category, categories())}_{'n' if novel else ''}{number:03d}"
+    return f"{require_choice('category', category, CATEGORIES)}_{'n' if novel else ''}{number:03d}"
 
 
 def parse_object_id(identifier: str) -> tuple[str, int]:
@@ -86,13 +81,13 @@ def make_object(identifier: str) -> ArticulatedObject:
 
 def seen_objects(category: str) -> tuple[str, ...]:
     """Returns the ids of the seen objects, as many as in the paper; demonstrations are collected on them."""
-    count = SEEN_COUNTS[require_choice("category", category, categories())]
+    count = SEEN_COUNTS[require_choice("category", category, CATEGORIES)]
     return tuple(object_id(category, number) for number in range(count))
 
 
 def unseen_objects(category: str, count: int = UNSEEN_COUNT) -> tuple[str, ...]:
     """Returns the ids of the first ``count`` objects beyond the seen ones: new draws of the same kinds."""
-    start = SEEN_COUNTS[require_choice("category", category, categories())]
+    start = SEEN_COUNTS[require_choice("category", category, CATEGORIES)]
     return tuple(object_id(category, number) for number in range(start, start + count))
 
 
@@ -112,7 +107,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     Raises:
         ConfigurationError: the selection is none of these, or empty, or of another category.
     """
-    require_choice("category", category, categories())
+    require_choice("category", category, CATEGORIES)
     splits = {"seen": seen_objects, "unseen": unseen_objects, "novel": novel_objects}
     if selection in splits:
         return splits[selection](category)
@@ -163,7 +158,7 @@ def category_of(identifier: str) -> str:
 
 
 __all__ = [
-    "SEEN_COUNTS", "UNSEEN_COUNT", "ObjectSplit", "categories", "category_of", "get_object", "is_asset_id",
+    "SEEN_COUNTS", "UNSEEN_COUNT", "ObjectSplit", "category_of", "get_object", "is_asset_id",
     "make_object", "novel_objects", "object_id", "object_split", "parse_object_id", "parse_object_selection",
     "seen_objects", "select_objects", "unseen_objects",
 ]  # fmt: skip

@@ -27,7 +27,7 @@ IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
 MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "test_0_2": summary}
 """Scale -> its means in the README."""
-SCALES = ("test", "paper", "control_rate", "test_0_2", "paper_0_2")
+SCALES = ("test", "paper", "one_object", "control_rate", "test_0_2", "paper_0_2")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"

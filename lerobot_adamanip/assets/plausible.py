@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from numpy.typing import NDArray
 
 from lerobot_adamanip.assets.annotation.file import Annotation, PartChoice
 from lerobot_adamanip.assets.checked_xml import annotate_hint, broken, warn_once_about_asset
@@ -15,8 +14,6 @@ from lerobot_adamanip.assets.paths import missing_file
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.assets.urdf import Urdf
 from lerobot_adamanip.util.errors import listed
-
-Array = NDArray[np.float64]
 
 SMALLEST, LARGEST = 0.02, 3.0
 """Range of the longest side of an object [m], for all categories."""

@@ -181,8 +181,8 @@ class Scale:
     batch_size: Annotated[int, _COUNT]
     save_every: Annotated[int, _COUNT]
     episodes: Annotated[int, _COUNT]
-    environments: Annotated[int, _COUNT]
-    device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a PyTorch device")]
+    environments: Annotated[int, _COUNT] = 2
+    device: Annotated[str, text(r"[a-z]{1,10}(:\d{1,2})?", "a PyTorch device")] = "cpu"
     poses: Annotated[str, choice(("", *POSES))] = ""
     mechanism_rules: Annotated[str, choice(("", *MECHANISM_RULES))] = ""
     hints: Annotated[float, number(0, 1)] = 0.0
@@ -198,7 +198,7 @@ class Scale:
         default_factory=dict
     )
     note: Annotated[str, text(r"[^\r\n|*`<>]{0,300}", "a line of plain text")] = ""
-    beside_paper: Annotated[bool, flag] = True
+    beside_paper: Annotated[bool, flag] = False
 
     def objects_of(self, category: str) -> str:
         """Returns the objects of a category."""

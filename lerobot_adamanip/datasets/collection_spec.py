@@ -213,9 +213,3 @@ OPTIONAL_FIELDS = {"sensing": EXACT, "self_calibration": False, "hints": 0.0, "m
 """Environment options in a manifest if they differ from these defaults."""
 DENSE_FIELDS = ("control", "fps", "action", "state", "max_steps", "observe_cloud", "observe_effort", *OF_PICTURES)
 """More environment options in a manifest of dense control."""
-RUNTIME_FIELDS = (
-    "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
-    "logged_seeds", "repeats",
-)  # fmt: skip
-"""Other options: category and objects have their own fields, the split is constant, paths are local, runs and
-repeats belong to evaluations, and its versions cover the renderer."""

@@ -106,7 +106,6 @@ class Dataset:
 
     Args:
         root: its folder.
-        num_points: required number of points per cloud; None for any.
         recordings: also accept a robot's recording, whose rows are ticks without clouds.
         on_damage: called for each damage, which is then skipped. By default the first one raises.
 
@@ -120,7 +119,6 @@ class Dataset:
         self,
         root: str | Path,
         *,
-        num_points: int | None = None,
         recordings: bool = False,
         on_damage: OnDamage | None = None,
     ) -> None:
@@ -131,7 +129,7 @@ class Dataset:
         if on_damage is None:
             self._require_complete()
             if not is_dense(self.features):
-                self._require_columns(num_points)
+                self._require_columns()
             elif not recordings:
                 raise recording_error(self.root, self.features)
 
@@ -386,10 +384,10 @@ class Dataset:
                 raise damaged(self.root, f"no videos of {key}")
         self.check_videos()
 
-    def _require_columns(self, num_points: int | None) -> None:
+    def _require_columns(self) -> None:
         shapes = {key: tuple(feature["shape"]) for key, feature in self.features.items()}
         cloud = shapes.get(schema.POINT_CLOUD, ())
-        points = num_points or (cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS)
+        points = cloud[0] // 3 if cloud and cloud[0] % 3 == 0 else schema.DEFAULT_NUM_POINTS
         contract = schema.dataset_features(points)
         if is_dense_collection(self.features):
             contract = dense_contract(self.features)
@@ -428,9 +426,9 @@ def _episode(row: Mapping[str, Any], videos: Iterable[str]) -> Episode:
     )
 
 
-def open_dataset(root: str | Path, *, num_points: int | None = None, **options: Any) -> Any:
+def open_dataset(root: str | Path, **options: Any) -> Any:
     """Returns a checked ``LeRobotDataset``; passes ``options`` on (``episodes``, ``delta_timestamps``, ...)."""
-    folder = Dataset(root, num_points=num_points).root
+    folder = Dataset(root).root
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     return LeRobotDataset(f"local/{folder.name}", root=folder, **options)

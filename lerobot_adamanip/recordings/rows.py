@@ -12,6 +12,7 @@ from PIL import Image
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import PIXEL_CONVENTION
+from lerobot_adamanip.contract.control import FINGER_TRAVEL
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
@@ -22,8 +23,6 @@ from lerobot_adamanip.util.errors import DatasetError
 
 Pictures = Callable[[int], tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]]
 """Tick -> colour (H, W, 3), if any, and depth (H, W) [mm]."""
-_OPEN_FINGER = 0.04
-"""Travel of each finger from closed to open [m]."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
 
 
 def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:
-    finger = _OPEN_FINGER * state[:, schema.GRIPPER_DIM : schema.GRIPPER_DIM + 1]
+    finger = FINGER_TRAVEL * state[:, schema.GRIPPER_DIM : schema.GRIPPER_DIM + 1]
     arm = state[:, schema.ACTION_DIM : schema.ACTION_DIM + schema.NUM_JOINTS]
     unknown = np.zeros((len(state), schema.MAX_OBJECT_JOINTS))
     return np.asarray(np.concatenate([arm, finger, finger, unknown], axis=1), np.float32)

@@ -16,13 +16,18 @@ from lerobot_adamanip.datasets.collection_spec import (
     DENSE_FIELDS,
     MANIFEST_FIELDS,
     OPTIONAL_FIELDS,
-    RUNTIME_FIELDS,
     episode_seed,
 )
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
 Refuses = Callable[[type, Callable[[], Any]], str]
+RUNTIME_FIELDS = (
+    "category", "objects", "assets", "split", "seed_offset", "render_backend", "episode_log", "run_id", "run_label",
+    "logged_seeds", "repeats",
+)  # fmt: skip
+"""Other options: category and objects have their own fields, the split is constant, paths are local, runs and
+repeats belong to evaluations, and its versions cover the renderer."""
 
 
 @given(st.integers(0, 2**32), st.integers(0, 1000), st.integers(0, 50))

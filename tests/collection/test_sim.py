@@ -18,7 +18,7 @@ SMALL = ["--category", "safe", "--objects", "safe_000,safe_003", "--episodes-per
 def test_safes_are_collected_and_replayed_alike(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     root = tmp_path / "dataset"
     assert main(["collect", str(root), *SMALL, "--workers", "1", "--json"]) == 0
-    assert json.loads(capfd.readouterr().out)["episodes"] == len(Dataset(root, num_points=256)) == 2
+    assert json.loads(capfd.readouterr().out)["episodes"] == len(Dataset(root)) == 2
     # The second episode was recorded by a simulator that had another one behind it, and is replayed by a fresh one.
     result = replay(root, 1, make_environment, video=tmp_path / "replay.mp4")
     assert result.agrees(1e-6), result

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,11 +45,3 @@ def traced() -> Iterator[Way]:
         yield way
     finally:
         sys.setprofile(before)
-
-
-def way_of(use: Callable[[], object]) -> Way:
-    """Returns the way of the second of two uses: the first one imports and fills caches."""
-    use()
-    with traced() as way:
-        use()
-    return way

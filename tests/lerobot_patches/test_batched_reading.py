@@ -31,7 +31,6 @@ FEATURES: dict[str, dict[str, Any]] = {
     "complementary_info.phase": {"dtype": "int64", "shape": (1,), "names": None},
 }
 VIDEO = {CAMERA: {"dtype": "video", "shape": (64, 64, 3), "names": ["height", "width", "channels"]}}
-NOTE = {"complementary_info.note": {"dtype": "string", "shape": (1,), "names": None}}
 
 
 def _record(path: Path, features: dict[str, dict[str, Any]]) -> Path:

@@ -13,7 +13,6 @@ from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, tra
 from lerobot_adamanip.recordings.sparsify import DenseTrajectory, distance, sparsify
 
 RATE = 20.0
-UP = np.eye(3)
 
 
 def pose(x: float, gripper: float = 1.0, angle: float = 0.0) -> NDArray[np.float64]:

@@ -16,6 +16,7 @@ from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
+from lerobot_adamanip.hardware.features import names_of
 from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
 from lerobot_policy_adamanip.common.threads import limit_threads_to_quota, stop_spinning_if_busy
 
@@ -124,7 +125,7 @@ class CloudPolicyConfig(PreTrainedConfig):
 
     def set_dataset_feature_metadata(self, features: Mapping[str, Mapping[str, Any]]) -> None:
         """Sets `pose_layout` from a dataset's feature names; LeRobot calls this before training."""
-        action, state = (_flat_names(features.get(key, {}).get("names")) for key in (ACTION, STATE))
+        action, state = (names_of(features.get(key)) for key in (ACTION, STATE))
         if action and state:
             self.pose_layout = action == list(POSE_NAMES) and state[:ACTION_DIM] == list(POSE_NAMES)
 
@@ -200,10 +201,3 @@ def wrong_number_of_points(shape: Sequence[int], num_points: int, *, trained: bo
         allowed=f"at least {num_points} points (the policy's num_points) of at least 3 numbers",
         hint=hint,
     )
-
-
-def _flat_names(names: Any) -> list[str]:
-    """Returns feature names as a list; LeRobot allows a list, a dict of lists, or None."""
-    if isinstance(names, dict):
-        return [name for group in names.values() for name in (group if isinstance(group, list) else [str(group)])]
-    return list(names or [])
