@@ -7,6 +7,7 @@ the Hub is only evaluated. Exits 1 if a cell differs. On another machine, torch 
 from __future__ import annotations
 
 import argparse
+import json
 import subprocess
 import sys
 from pathlib import Path
@@ -23,25 +24,29 @@ def main() -> int:
     parser.add_argument("entry", type=Path)
     parser.add_argument("--evaluate", action="store_true", help="train and evaluate again")
     parser.add_argument("--out", type=Path, default=Path("outputs/entry"))
+    parser.add_argument("--json", action="store_true", help="print one JSON line")
     options = parser.parse_args()
     try:
         entry = read_entry(options.entry)
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2
-    differing = 0
+    lines = []
     for scale in SCALES:
         cells = entry.results[scale]
-        sys.stdout.write(f"{scale}: {len(cells)} cells of {entry.method.title}\n")
         if options.evaluate:
             name = next(iter(cells)).method
             command = ["adamanip", "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
-            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=True)
-            for cell, published in cells.items():
-                again = read_result(options.out / scale / "cells" / f"{cell.name}.json")
-                differing += _text(again) != _text(published)
-                sys.stdout.write(f"  {cell.name}: {_text(published)}; again {_text(again)}\n")
-    return int(differing > 0)
+            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=True, stdout=sys.stderr)
+        for cell, published in cells.items():
+            line = {"scale": scale, "cell": cell.name, "published": _text(published)}
+            if options.evaluate:
+                line["again"] = _text(read_result(options.out / scale / "cells" / f"{cell.name}.json"))
+            lines.append(line)
+    sys.stdout.write(
+        json.dumps(lines) + "\n" if options.json else "".join(f"{' | '.join(each.values())}\n" for each in lines)
+    )
+    return int(any(line.get("again", line["published"]) != line["published"] for line in lines))
 
 
 def _text(result: ResultFile) -> str:

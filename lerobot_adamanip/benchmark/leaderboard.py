@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
-from lerobot_adamanip.benchmark.plan import Cell, all_cells, cell_of, options_key
+from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, cell_of, evaluation_options, options_key, plan
 from lerobot_adamanip.benchmark.report import within
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.results import ResultFile, read_results
@@ -18,6 +19,13 @@ TRACKS = PAPER_TABLE.with_name("tracks.toml")
 SCALES = ("row", "changing", "real_sensors")
 """Scales of `TRACKS` that an entry has all cells of."""
 DECLARATION = "declaration.toml"
+REFERENCE = "dp3_adaptive"
+"""Method of `TRACKS` whose scenes an entry is evaluated in."""
+CHOSEN = (
+    "type", "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action",
+    "state", "memory", "self_calibration",
+)  # fmt: skip
+"""Starts of the options of an environment that an entry may choose."""
 RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
 
 An entry is a folder, by pull request to `results/leaderboard/NAME/`: a declaration, and a result file of each cell.
@@ -34,6 +42,7 @@ done
 python scripts/make_results.py # writes this page; refuses entries with missing cells or changed scenes
 ```
 
+A method may choose its control, observations, memory, and whether the camera calibrates itself, not its scenes.
 Allowed, and told in `learns_from`: pretrained weights, data of your own, a teacher that sees the hidden state, a
 checkpoint on the Hub instead of a training. Not allowed: learning from unseen or novel objects, or choosing a method by
 these scenes. The policy may not read the simulator.
@@ -113,8 +122,20 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
                 yield f"{scale}, {cell.name}: made from a commit with changes, or from none"
             if result.run and result.run.options != options_key(cell, declaration, scale):
                 yield f"{scale}, {cell.name}: made with other options than declared"
+            wished, given = scenes(cell, declaration, scale), scenes(replace(cell, method=REFERENCE), tracks, scale)
+            if wished != given:
+                names = ", ".join(sorted({name for name, _ in wished ^ given}))
+                yield f"{scale}, {cell.name}: evaluated in other scenes ({names})"
     if len(versions := {str(one.simulation_version) for each in results.values() for one in each}) > 1:
         yield f"simulation versions {' and '.join(sorted(versions))}"
+
+
+def scenes(cell: Cell, declaration: Declaration, scale: str) -> set[tuple[str, str]]:
+    """Returns the options of a cell's evaluation that decide its scenes and its limits."""
+    options = evaluation_options(shlex.join(plan(cell, declaration, scale, KeyVersions(0, 0)).command))
+    chosen = tuple(f"--env.{start}" for start in CHOSEN)
+    decide = ("--env.", "--seed", "--eval.n_episodes")
+    return {(name, value) for name, value in options.items() if name.startswith(decide) and not name.startswith(chosen)}
 
 
 def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:

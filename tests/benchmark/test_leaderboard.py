@@ -77,7 +77,7 @@ def test_a_script_checks_an_entry(
     folder = enter("mine", 30)
     monkeypatch.setattr("sys.argv", ["check_entry.py", str(folder)])
     assert script["main"]() == 0
-    assert "real_sensors: 18 cells of dp3_adaptive" in capsys.readouterr().out
+    assert capsys.readouterr().out.count("real_sensors | dp3_adaptive-") == 18
     next((folder / "row").glob("*.json")).unlink()
     assert script["main"]() == 2
     assert "1 of 7 cells are missing" in capsys.readouterr().err
@@ -105,6 +105,27 @@ def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEnt
     cell = next((folder / "row").glob("*.json"))
     edit(cell, lambda one: dataclasses.replace(one, run=dataclasses.replace(one.run, method="expert")))  # type: ignore[type-var]
     assert "results of expert, mine, not of one declared method" in lacking(folder)
+
+
+@pytest.mark.parametrize(
+    ("field", "problem"),
+    [
+        ('evaluate = ["--env.sensing=exact"]', "evaluated in other scenes (--env.sensing)"),
+        (
+            'evaluate = ["--env.max_failed_tries=9", "--env.self_calibration=true"]',
+            "other scenes (--env.max_failed_tries)",
+        ),
+        ('evaluate = ["--seed=1"]', "evaluated in other scenes (--seed)"),
+        ('evaluate = ["--env.self_calibration=true"]', ""),
+    ],
+)
+def test_a_method_chooses_its_observations_and_not_its_scenes(field: str, problem: str, enter: MakeEntry) -> None:
+    table = f'\n[methods.mine]\nlike = "dp3_adaptive"\ntitle = "mine"\nscales = {list(SCALES)}\n{field}\n'
+    folder = enter("mine", 30, "mine", table)
+    if problem:
+        assert problem in lacking(folder)
+    else:
+        assert read_entry(folder).method.title == "mine"
 
 
 @pytest.mark.parametrize(
