@@ -301,7 +301,7 @@ EVERYTHING, TRAINING, TEST = {COLLECT, TRAIN, EVALUATE}, {TRAIN, EVALUATE}, {EVA
         ({"batch_size": 3}, TRAINING), ({"device": "cuda"}, TRAINING), ({"episodes": 6}, TEST),
         ({"environments": 1}, TEST), ({"poses": "fixed"}, EVERYTHING), ({"evaluate": ["--x=1"]}, TEST),
         ({"save_every": 1}, set()), ({"categories": ["door"]}, set()), ({"seeds": [5, 6]}, set()),
-        ({"note": "Small."}, set()), ({"beside_paper": False}, set()), ({"objects_at": {"door": "0:1"}}, set()),
+        ({"note": "Small."}, set()), ({"beside_paper": True}, set()), ({"objects_at": {"door": "0:1"}}, set()),
         ({"objects_at": {"safe": "0:1"}}, EVERYTHING),
     ],
     ids=in_order,
