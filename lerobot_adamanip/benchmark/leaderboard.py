@@ -43,9 +43,9 @@ python scripts/make_results.py # writes this page; refuses entries with missing 
 ```
 
 A method may choose its control, observations, memory, and whether the camera calibrates itself, not its scenes.
-Allowed, and told in `learns_from`: pretrained weights, data of your own, a teacher that sees the hidden state, a
-checkpoint on the Hub instead of a training. Not allowed: learning from unseen or novel objects, or choosing a method by
-these scenes. The policy may not read the simulator.
+It may use pretrained weights, data of your own, a teacher that sees the hidden state, or a checkpoint on the Hub
+instead of a training. Say so in `learns_from`. It may not learn from unseen or novel objects, and you may not choose
+it by these scenes. The policy may not read the simulator.
 
 `python scripts/check_entry.py results/leaderboard/NAME --evaluate` trains and evaluates an entry again, or evaluates
 its checkpoint, and compares each cell.
