@@ -6,7 +6,8 @@ A felt try needs nothing but tool poses, finger openings and commands, which a r
 A closed hand *pushes* in a step if it holds something and is commanded to move, or is empty and is commanded forward.
 A key frame with a push is a try. At control rate a try is a *stroke*: steps in which the hand pushes in one direction.
 The hand was *blocked* if it covered less than `FELT_SHARE` of the commanded motion, and else it *moved*. An empty hand
-that follows its command has touched nothing; that is no try.
+that follows its command has touched nothing; that is no try. Nor does a hand push at control rate that still moves
+against its command: an earlier motion settles.
 """
 
 from __future__ import annotations
@@ -124,7 +125,15 @@ class FeltTries:
         was_closed, self._was_closed = self._was_closed, is_closed
         motion = commanded * MOTION_UNITS
         shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
-        is_push = is_closed and was_closed and pushes(shift, turn, motion[2], before.gripper, self._min_motion)
+        measured = tool_motion(before.tcp_in_base, after.tcp_in_base)
+        share = _share(commanded, measured)
+        settles = self._held_steps is not None and share < -FELT_SHARE
+        is_push = (
+            is_closed
+            and was_closed
+            and not settles
+            and pushes(shift, turn, motion[2], before.gripper, self._min_motion)
+        )
         goes_on = is_push and self._stroke is not None and _is_along(commanded, self._stroke.direction)
         if self._stroke is not None and (not goes_on or self._held_steps is None):
             self._end()
@@ -132,8 +141,7 @@ class FeltTries:
             return
         start = before if self._stroke is None else self._stroke.start
         held = 0 if self._stroke is None else self._stroke.held
-        measured = tool_motion(before.tcp_in_base, after.tcp_in_base)
-        held = held + 1 if _share(commanded, measured) < FELT_SHARE else 0
+        held = held + 1 if share < FELT_SHARE else 0
         self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, commanded, held)
         if self._held_steps is None:
             self._end()

@@ -116,6 +116,18 @@ def test_a_hand_that_is_held_back_feels_it_while_it_pushes(dense: Stream) -> Non
     assert dense.memory.sentence() == f"{SO_FAR}pulled: blocked."
 
 
+def test_a_hand_that_still_moves_the_other_way_is_not_held_back(dense: Stream) -> None:
+    """A motion that settles says nothing about the object: the try begins when the hand obeys or stands still."""
+    for _ in range(5):
+        dense.sends((0.0, 0.0, -0.01), share=-0.6)
+    dense.sends(share=1.0)
+    assert not dense.memory.events
+    for _ in range(5):
+        dense.sends((0.0, 0.0, -0.01), share=0.7)
+    dense.sends(share=1.0)
+    assert [(event.blocked, event.times) for event in dense.memory.events] == [(False, 1)]
+
+
 def test_a_hand_at_rest_tries_nothing(dense: Stream) -> None:
     for _ in range(20):
         dense.sends((0.0, 0.0, -0.001), share=0.0)

@@ -54,7 +54,7 @@ def test_contact_events_of_steps_are_those_of_the_key_frames_they_are_made_of(se
     commands, states = columns(frames, schema.ACTION)[:, :-1], columns(frames, schema.STATE)
     plain = Past(commands, states[..., :10], torch.ones(commands.shape[:2], dtype=torch.bool))
     sent, seen, valid = strokes.merged(columns(steps, schema.ACTION)[:, :-1], columns(steps, schema.STATE), 40)
-    merged = Past(sent, seen[..., :10], valid, (strokes.MIN_LAG_M, strokes.MIN_LAG_RAD))
+    merged = Past(sent, seen[..., :10], valid, is_dense=True)
     expected, events = (past.events()[past.contact] for past in (plain, merged))
     assert len(expected) > 1
     torch.testing.assert_close(events[:, :7], expected[:, :7], rtol=0, atol=0.1)  # commanded, in typical motions
@@ -63,11 +63,11 @@ def test_contact_events_of_steps_are_those_of_the_key_frames_they_are_made_of(se
 
 
 def test_what_comes_later_changes_no_stroke() -> None:
-    rows = dense_rows(key_frames(0))[:-1]
-    commands, poses = columns(rows, schema.ACTION), columns(rows, schema.STATE)[..., :10]
+    rows = dense_rows(key_frames(0))
+    commands, poses = columns(rows, schema.ACTION)[:, :-1], columns(rows, schema.STATE)[..., :10]
     whole = strokes.starts_stroke(commands, poses)
     for steps in range(1, len(rows)):
-        assert torch.equal(strokes.starts_stroke(commands[:, :steps], poses[:, :steps]), whole[:, :steps])
+        assert torch.equal(strokes.starts_stroke(commands[:, :steps], poses[:, : steps + 1]), whole[:, :steps])
 
 
 # Training and acting --------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
-from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD, pushes
+from lerobot_adamanip.episode.felt_tries import FELT_SHARE, MIN_LAG_M, MIN_LAG_RAD, MIN_SHIFT_M, MIN_TURN_RAD, pushes
 from lerobot_policy_adamanip.common.config import CODE
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
@@ -33,19 +33,24 @@ def surely_none(mask: Tensor) -> bool:
 
 @dataclass(frozen=True)
 class Past:
-    """The past H key frames: what was commanded, and how far the arm followed.
+    """The past H key frames, or steps at control rate: what was commanded, and how far the arm followed.
 
     Attributes:
         commands: (B, H, 10) commanded poses, oldest first.
         poses: (B, H + 1, 10) measured tool poses before each command, and the present one.
         valid: (B, H) bool, false before the episode's start.
-        min_motion: least commanded motion of an event [m, rad].
+        is_dense: whether these are steps or strokes at control rate.
     """
 
     commands: Tensor
     poses: Tensor
     valid: Tensor
-    min_motion: tuple[float, float] = (MIN_SHIFT_M, MIN_TURN_RAD)
+    is_dense: bool = False
+
+    @property
+    def min_motion(self) -> tuple[float, float]:
+        """Least commanded motion of an event [m, rad]."""
+        return (MIN_LAG_M, MIN_LAG_RAD) if self.is_dense else (MIN_SHIFT_M, MIN_TURN_RAD)
 
     @cached_property
     def motions(self) -> tuple[Tensor, Tensor]:
@@ -62,7 +67,15 @@ class Past:
         moves = pushes(shift, turn, motion[..., 2], opening, self.min_motion)
         closed = ~self.opens
         result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
-        return result
+        return result & ~self.settles if self.is_dense else result
+
+    @property
+    def settles(self) -> Tensor:
+        """Mask (B, H) of steps in which the hand still moves against its command, see `felt_tries`."""
+        measured = motion_between(self.poses[:, 1:], self.poses[:, :-1])
+        units = constant(MOTION_UNITS, measured)[:6]
+        commanded, measured = self.motions[0][..., :6] / units, measured[..., :6] / units
+        return (measured * commanded).sum(dim=-1) < -FELT_SHARE * (commanded * commanded).sum(dim=-1)
 
     @cached_property
     def missed(self) -> Tensor:

@@ -223,7 +223,7 @@ def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
     _, last = episode_bounds(columns[EPISODE].reshape(-1))
     ends = np.unique(last) + 1
     parts = [
-        strokes.starts_stroke(commands[None, start:end], poses[None, start:end])[0].numpy()
+        strokes.starts_stroke(commands[None, start:end], poses[None, [*range(start, end), end - 1]])[0].numpy()
         for start, end in zip([0, *ends[:-1]], ends, strict=True)
     ]
     return np.cumsum(np.concatenate(parts), dtype=np.int64)

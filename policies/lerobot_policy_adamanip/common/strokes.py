@@ -4,8 +4,8 @@ A stroke goes on while the closed hand pushes in one direction, or while it does
 gripper opens or closes. A hand pushes in a step as in a contact event, see `Past.contact`: it is closed, and its
 command is ahead of the measured pose. In contact, this lag is the strain. Neither labels nor effort are used.
 
-Whether a step starts a stroke depends on this step and the one before, so strokes are the same in training and at run
-time.
+Whether a step starts a stroke depends on this step, its result and the step before, so strokes are the same in training
+and at run time.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD, SAME_DIRECTION
+from lerobot_adamanip.episode.felt_tries import SAME_DIRECTION
 from lerobot_policy_adamanip.common.contacts import Past
 from lerobot_policy_adamanip.common.geometry import MOTION_UNITS, constant
 
@@ -24,10 +24,10 @@ def starts_stroke(commands: Tensor, poses: Tensor) -> Tensor:
 
     Args:
         commands: (B, T, 10) commanded poses, from the episode's first step on.
-        poses: (B, T, 10) measured tool poses before each command.
+        poses: (B, T + 1, 10) measured tool poses before each command, and the present one.
     """
     valid = torch.ones(commands.shape[:2], dtype=torch.bool, device=commands.device)
-    steps = Past(commands, torch.cat([poses, poses[:, -1:]], dim=1), valid, (MIN_LAG_M, MIN_LAG_RAD))
+    steps = Past(commands, poses, valid, is_dense=True)
     motion = steps.motions[0][..., :6] / constant(MOTION_UNITS, commands)[:6]
     is_same = F.cosine_similarity(motion[:, 1:], motion[:, :-1], dim=-1) > SAME_DIRECTION
     pushes, opens = steps.contact, steps.opens
@@ -62,7 +62,7 @@ def merged(commands: Tensor, states: Tensor, count: int) -> tuple[Tensor, Tensor
     if commands.shape[1] == 0:
         none = torch.zeros(len(commands), count, dtype=torch.bool, device=commands.device)
         return commands.new_zeros(len(commands), count, pose), states.expand(-1, count + 1, -1), none
-    numbers = starts_stroke(commands, states[:, :-1, :pose]).cumsum(dim=1) - 1
+    numbers = starts_stroke(commands, states[..., :pose]).cumsum(dim=1) - 1
     number, first, last = stroke_bounds(numbers, numbers[:, -1], count)
     valid = number >= 0
     ends = commands.gather(1, last.clamp(min=0)[..., None].expand(-1, -1, pose))

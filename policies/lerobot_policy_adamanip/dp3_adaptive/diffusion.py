@@ -26,7 +26,6 @@ from lerobot_adamanip.contract.schema import (
     STATE,
     Statistics,
 )
-from lerobot_adamanip.episode.felt_tries import MIN_LAG_M, MIN_LAG_RAD
 from lerobot_policy_adamanip.common import geometry
 from lerobot_policy_adamanip.common.contacts import ContactMemory, MotionCode, make_memory
 from lerobot_policy_adamanip.common.encoders import PointNet2Encoder, PointNetEncoder
@@ -193,7 +192,7 @@ class BaseDiffusionHead(DiffusionHead):
 class MemoryDiffusionHead(ToolHead, DiffusionHead):
     """The head for control rate: with a memory of contact events, and no rule beside the network."""
 
-    MIN_MOTION = MIN_LAG_M, MIN_LAG_RAD
+    IS_DENSE = True
     READS_MISSES = False
     memory: ContactMemory | None
 

@@ -21,7 +21,6 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND
 from lerobot_adamanip.contract.schema import ACTION_DIM, EFFORT, GRIPPER_DIM, POINT_CLOUD, POSITION_DIMS, STATE
-from lerobot_adamanip.episode.felt_tries import MIN_SHIFT_M, MIN_TURN_RAD
 from lerobot_policy_adamanip.common import geometry
 from lerobot_policy_adamanip.common.config import EVENTS
 from lerobot_policy_adamanip.common.contacts import ChoiceMemory, MotionCode, Past, make_memory, surely_none
@@ -80,8 +79,8 @@ class ToolHead(nn.Module):
     (B, T, A).
     """
 
-    MIN_MOTION: ClassVar = (MIN_SHIFT_M, MIN_TURN_RAD)
-    """Least motion of a contact event [m, rad]."""
+    IS_DENSE: ClassVar = False
+    """Whether the head acts at control rate."""
     READS_MISSES: ClassVar = True
     """Whether the memory also reads key frames that closed the hand on nothing."""
     config: DP3AdaptiveConfig
@@ -99,7 +98,7 @@ class ToolHead(nn.Module):
         """Returns the past key frames, or at control rate strokes."""
         commands = window.history.float()
         states = window.observations[STATE][:, -commands.shape[1] - 1 :, :ACTION_DIM]
-        return Past(commands, states.float(), window.valid, self.MIN_MOTION)
+        return Past(commands, states.float(), window.valid, self.IS_DENSE)
 
     def remembered(self, window: Window) -> tuple[Tensor, Tensor]:
         """Returns `Past.events` (B, H, 16) and the mask (B, H) of those that the memory reads."""

@@ -59,6 +59,12 @@ def test_only_motions_of_a_closed_hand_are_contact_events() -> None:
     assert not Past(*past[:2], torch.zeros_like(past[2])).contact.any()
 
 
+@pytest.mark.parametrize("is_dense", [False, True])
+def test_at_control_rate_a_motion_that_still_settles_is_no_contact_event(is_dense: bool) -> None:
+    past = Past(*played((PULL, -0.6), (PULL, 0.0), (PULL, 0.9), (TURN, -0.6)), is_dense=is_dense)
+    assert past.contact[0].tolist() == [False, not is_dense, True, True, not is_dense]
+
+
 def test_a_closed_hand_that_holds_nothing_can_only_push() -> None:
     past = played((PULL, 1.0), (TURN, 1.0), (PUSH, 0.0), (-PUSH, 1.0), (0.3 * PUSH, 0.0), opening=EMPTY)
     assert Past(*past).contact[0].tolist() == [False, False, False, True, False, False]
