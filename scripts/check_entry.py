@@ -15,7 +15,7 @@ from pathlib import Path
 from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, read_entry
 from lerobot_adamanip.benchmark.report import opened, within
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
-from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 
 
 def main() -> int:
@@ -28,6 +28,8 @@ def main() -> int:
     options = parser.parse_args()
     try:
         entry = read_entry(options.entry)
+        if options.evaluate and options.out.exists():
+            raise ConfigurationError("An entry is evaluated in a new folder.", got=options.out, hint="another --out")
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -37,11 +39,13 @@ def main() -> int:
         if options.evaluate:
             name = next(iter(cells)).method
             command = ["adamanip", "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
-            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=True, stdout=sys.stderr)
+            # Status 1: a cell failed. The others can be compared.
+            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=False, stdout=sys.stderr)
         for cell, published in cells.items():
             line = {"scale": scale, "cell": cell.name, "published": _text(published)}
             if options.evaluate:
-                line["again"] = _text(read_result(options.out / scale / "cells" / f"{cell.name}.json"))
+                path = options.out / scale / "cells" / f"{cell.name}.json"
+                line["again"] = _text(read_result(path)) if path.exists() else "failed"
             lines.append(line)
     sys.stdout.write(
         json.dumps(lines) + "\n" if options.json else "".join(f"{' | '.join(each.values())}\n" for each in lines)

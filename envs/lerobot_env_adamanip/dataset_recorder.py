@@ -58,12 +58,13 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         self, env: gym.Env[Any, Any], root: str | Path, *, recorded_by: str, repo_id: str | None = None
     ) -> None:
         super().__init__(env)
-        if not isinstance(env.unwrapped, KeyframeEnv):
+        if not isinstance(env.unwrapped, KeyframeEnv) or env.unwrapped.options.is_dense:
             raise ConfigurationError(
                 "Only key-frame environments can be recorded.",
                 got=type(env.unwrapped).__name__,
                 allowed="KeyframeEnv, or a wrapper around it",
-                hint="DatasetRecorder(KeyframeEnv('safe'), 'outputs/mine', recorded_by='my policy')",
+                hint="DatasetRecorder(KeyframeEnv('safe'), 'outputs/mine', recorded_by='my policy'); at control rate: "
+                "adamanip collect --control dense",
             )
         self._env = env.unwrapped
         if not re.fullmatch(r"[\w .:+-]{1,80}", recorded_by):

@@ -32,6 +32,8 @@ class DenseEnv(KeyframeEnv):
         category, options, render_mode, values: see `KeyframeEnv`.
     """
 
+    CONTROL = DENSE
+
     def __init__(self, category: str | None = None, **values: Any) -> None:
         super().__init__(category, **{**values, "control": DENSE})
         self._ticks = TICKS_PER_SECOND // self.options.fps

@@ -10,9 +10,11 @@ import gymnasium as gym
 import numpy as np
 
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.seeds import category_offset
 from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.record import new_run_id
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud
 
@@ -68,6 +70,13 @@ def create_adamanip_envs(
         ConfigurationError: a category or option does not exist, or a value is invalid.
     """
     require_known(options)
+    if options.get("control", KEYFRAME) != KEYFRAME:
+        raise ConfigurationError(
+            "Served environments act by key frames.",
+            got=f"control={options['control']!r}",
+            allowed=f"control={KEYFRAME!r}",
+            hint="lerobot-eval --env.type=adamanip_safe --env.control=dense, which needs no server",
+        )
     names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]
     common = {"run_id": new_run_id() if options.get("episode_log") else None, **options}
     chosen = [EnvironmentOptions(**{"category": name, **common}) for name in names]

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -16,6 +16,7 @@ from lerobot_adamanip import __version__
 from lerobot_adamanip.catalog import object_split
 from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.dense_codec import pose_state
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels
 from lerobot_adamanip.contract.memory import EVENTS, TEXT
@@ -30,7 +31,7 @@ from lerobot_adamanip.episode.tries import KeyFrameLabeler
 from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
 from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
-from lerobot_adamanip.util.errors import UnreachableError, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError, require_choice
 from lerobot_env_adamanip.gym_interface import (
     RENDER_MODE,
     action_space,
@@ -200,6 +201,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     """
 
     metadata = {"render_modes": [RENDER_MODE], "render_fps": FPS}  # noqa: RUF012  (Gymnasium requires it)
+    CONTROL: ClassVar[str] = KEYFRAME
 
     def __init__(
         self,
@@ -214,6 +216,13 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             require_choice("render mode", render_mode, (RENDER_MODE,))
         named = {} if category is None else {"category": category}
         asked = (options or EnvironmentOptions()).changed(**named, **values)
+        if asked.control != self.CONTROL:
+            raise ConfigurationError(
+                "This environment acts with another control.",
+                got=f"{type(self).__name__} with control={asked.control!r}",
+                allowed=f"control={self.CONTROL!r}",
+                hint="DenseEnv for dense control, KeyframeEnv for key frames; make_environment(options) chooses",
+            )
         self.spec = environment_spec(asked)
         self.options = asked
         if asked.observe_images is None:
@@ -304,6 +313,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         """Starts counting key frames and tries in the present state, as at a reset: for late starts."""
         task = self.episode.task
         task.simulation.restart_tries()
+        if task.errors is not None:
+            task.errors.restart()
         self._start_episode(task)
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:

@@ -16,7 +16,7 @@ from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, JOINT, KEYFRAME, POSE, STATES
-from lerobot_adamanip.contract.memory import MEMORY
+from lerobot_adamanip.contract.memory import MEMORY, TEXT
 from lerobot_adamanip.contract.schema import ACTION, EFFORT, FPS, KEY_FRAME, POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.training_data import training_info, training_objects, training_options
 from lerobot_adamanip.util.errors import ConfigurationError, listed
@@ -79,6 +79,7 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
     policy = PreTrainedConfig.from_pretrained(path)
     _require_workspace(policy, path, environment)
     _require_control(policy, path, environment)
+    _require_text(path, environment)
     offered = env_to_policy_features(environment)
     for name, feature in (policy.input_features or {}).items():
         if name == POINT_CLOUD and name in offered and hasattr(policy, "num_points"):
@@ -125,6 +126,19 @@ def _require_control(policy: Any, path: str, environment: AdaManipEnvConfig) -> 
             got=", ".join(f"{name}={value}" for name, value in offered.items()),
             allowed=", ".join(f"{name}={value}" for name, value in known.items()) + f", as {path} was trained",
             hint=" ".join(f"--env.{name}={value}" for name, value in known.items()),
+        )
+
+
+def _require_text(path: str, environment: AdaManipEnvConfig) -> None:
+    """Compares the memory in the instruction, which no feature shows, with that of the training, if it is known."""
+    trained: Any = training_options(Path(path)).get("env")
+    memory = trained.get("memory") if isinstance(trained, Mapping) else None
+    if memory is not None and (memory == TEXT) != (environment.memory == TEXT):
+        raise ConfigurationError(
+            "The policy was trained with another memory.",
+            got=f"memory={environment.memory}",
+            allowed=f"memory={memory}, as {path} was trained",
+            hint=f"--env.memory={memory}",
         )
 
 

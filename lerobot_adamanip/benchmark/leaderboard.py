@@ -9,7 +9,7 @@ from pathlib import Path
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
 from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, cell_of, evaluation_options, options_key, plan
-from lerobot_adamanip.benchmark.report import within
+from lerobot_adamanip.benchmark.report import CHOSEN, within
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.results import ResultFile, read_results
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
@@ -18,14 +18,16 @@ from lerobot_adamanip.util.errors import DatasetError
 TRACKS = PAPER_TABLE.with_name("tracks.toml")
 SCALES = ("row", "changing", "real_sensors")
 """Scales of `TRACKS` that an entry has all cells of."""
+COLUMNS = {
+    ("row", "unseen"): "locks in a row",
+    ("changing", "unseen"): "a lock that changes",
+    ("real_sensors", "unseen"): "D435, unseen objects",
+    ("real_sensors", "novel"): "D435, novel objects",
+}
+"""Scale and split of objects -> title of its column."""
 DECLARATION = "declaration.toml"
 REFERENCE = "dp3_adaptive"
 """Method of `TRACKS` whose scenes an entry is evaluated in."""
-CHOSEN = (
-    "type", "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action",
-    "state", "memory", "self_calibration",
-)  # fmt: skip
-"""Starts of the options of an environment that an entry may choose."""
 RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
 
 An entry is a folder, by pull request to `results/leaderboard/NAME/`: a declaration, and a result file of each cell.
@@ -68,11 +70,11 @@ class LeaderboardEntry:
 
     def row(self) -> tuple[float, list[str]]:
         """Returns the share that decides the order, and the cells of the table after the name."""
-        places: dict[tuple[str, str], list[float]] = {}
+        places: dict[tuple[str, str], list[float]] = {place: [] for place in COLUMNS}
         for scale, results in self.results.items():
             for cell, result in results.items():
                 share = within(result.rows[0].metrics)
-                places.setdefault((scale, cell.objects), []).append((share and share.rate) or 0.0)
+                places[scale, cell.objects].append((share and share.rate) or 0.0)
         means = [sum(shares) / len(shares) for shares in places.values()]
         pooled = pool(result.rows[0].metrics for results in self.results.values() for result in results.values())
         new = {count: share.rate for count, share in (pooled.untried or {}).items()}
@@ -114,6 +116,8 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
             continue
         wanted = {cell for cell in all_cells(declaration, scale) if cell.method == name}
         found = {cell_of(one): one for one in results[scale] if one.run}
+        if foreign := len(results[scale]) - len(found.keys() & wanted):
+            yield f"{scale}: {foreign} files that are no result of a declared cell"
         if missing := sorted(cell.name for cell in wanted - found.keys()):
             yield f"{scale}: {len(missing)} of {len(wanted)} cells are missing, such as {missing[0]}"
         for cell in sorted(found.keys() & wanted, key=str):
@@ -133,16 +137,15 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
 def scenes(cell: Cell, declaration: Declaration, scale: str) -> set[tuple[str, str]]:
     """Returns the options of a cell's evaluation that decide its scenes and its limits."""
     options = evaluation_options(shlex.join(plan(cell, declaration, scale, KeyVersions(0, 0)).command))
-    chosen = tuple(f"--env.{start}" for start in CHOSEN)
     decide = ("--env.", "--seed", "--eval.n_episodes")
-    return {(name, value) for name, value in options.items() if name.startswith(decide) and not name.startswith(chosen)}
+    return {(name, value) for name, value in options.items() if name.startswith(decide) and not name.startswith(CHOSEN)}
 
 
 def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
     """Returns the leaderboard as Markdown, best entry first; ``entries``: name -> entry."""
     titles = [
-        "entry", "learns from", "mean", "locks in a row", "a lock that changes", "D435, unseen objects",
-        "D435, novel objects", METRICS["repeated"].title, "something new after one", "after two",
+        "entry", "learns from", "mean", *COLUMNS.values(), METRICS["repeated"].title, "something new after one",
+        "after two",
     ]  # fmt: skip
     rows = {name: entry.row() for name, entry in entries.items()}
     lines = [[name, *cells] for name, (_, cells) in sorted(rows.items(), key=lambda item: item[1][0], reverse=True)]

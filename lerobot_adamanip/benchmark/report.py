@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
 from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
 from lerobot_adamanip.evaluation.rates import Rate
@@ -16,10 +17,11 @@ from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
 KEY_FRAME_BUDGETS = (10, 15, 25)
 """Numbers of key frames, for the columns of success within them in the CSV file."""
-OBSERVATION_OPTIONS = (
-    "--env.num_points", "--env.image_size", "--env.observe_images", "--env.episode_log"
-)  # fmt: skip
-"""Options of an evaluation's environment that do not change its scenes."""
+CHOSEN = tuple(f"--env.{start}" for start in (
+    "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
+    "memory", "self_calibration",
+))  # fmt: skip
+"""Starts of the options of an environment that a method may choose: they do not change its scenes."""
 EARLIER, OTHER_OPTIONS = "†", "‡"
 MARKS = {
     EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
@@ -193,9 +195,14 @@ def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
 
 def scenes_of(result: ResultFile) -> tuple[object, ...]:
     """Returns the version, seeds and options that decide the scenes of a result."""
-    options = evaluation_options(result.command).items()
-    deciding = {pair for pair in options if pair[0].startswith("--env.") and pair[0] not in OBSERVATION_OPTIONS}
-    return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), frozenset(deciding)
+    deciding = scene_options(result.command)
+    return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), deciding
+
+
+def scene_options(command: str) -> frozenset[tuple[str, str]]:
+    """Returns the options of an evaluation's environment, name and value, that decide its scenes."""
+    options = {"--env.sensing": EXACT, **evaluation_options(command)}.items()
+    return frozenset(pair for pair in options if pair[0].startswith("--env.") and not pair[0].startswith(CHOSEN))
 
 
 def make_report(

@@ -151,6 +151,13 @@ def key_frame_columns(columns: Columns, fps: int) -> tuple[NDArray[np.int64], di
         fps: rows per second.
     """
     terminal = len(columns[schema.ACTION]) - 1
+    if not np.array_equal(columns[schema.ACTION], columns.get(schema.EXECUTED, columns[schema.ACTION])):
+        raise DatasetError(
+            "This dataset has no key frames: something else than its actions was sent.",
+            got=f"{schema.EXECUTED} that differs from {schema.ACTION}",
+            allowed="demonstrations of an expert without mistakes",
+            hint="adamanip collect DIR with the same options, without --control dense",
+        )
     outcomes = columns[schema.OUTCOME][:terminal, 0]
     ends = np.flatnonzero(outcomes != schema.GOES_ON)
     ends = ends if len(ends) and ends[-1] == terminal - 1 else np.append(ends, terminal - 1)

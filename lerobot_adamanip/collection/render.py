@@ -15,6 +15,7 @@ from lerobot_adamanip.collection.assemble import Contents, assemble
 from lerobot_adamanip.collection.record import EnvFactory, Environments, reset_scene
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
+from lerobot_adamanip.contract.sensing import parse_sensing
 from lerobot_adamanip.contract.versions import cpu_model
 from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import manifest_path
@@ -28,9 +29,11 @@ from lerobot_adamanip.datasets.output_folder import (
     owned_output,
     resolve_output,
 )
+from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import identity, selection_path
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
@@ -86,6 +89,7 @@ def add_pictures(
             read_attempts(attempts_path(source.root)),
         )
         built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
+        keep_unscaled_poses(built, [source])
         if (selection := selection_path(source.root)).exists():
             files.write_atomically(selection_path(built), selection.read_bytes())
         output.publish(built)
@@ -116,7 +120,7 @@ def _rendered(
             path = folder / f"{episode.number:06d}.safetensors"
             if read_record(path) is None:
                 env = environments.of(category_of(episode.row["object_id"]))
-                write_shard(path, _with_images(env, source.recorded(episode.number, old)))
+                write_shard(path, _with_images(env, source.recorded(episode.number, old), old.spec.environment))
             shards.append(path)
             progress("render", episode.number + 1, len(source))
     return shards
@@ -182,8 +186,8 @@ def _pictured(before: Manifest, make_env: EnvFactory) -> Manifest:
     return replace(before, spec=spec, versions=versions)
 
 
-def _with_images(env: SimulatedEnvironment, episode: RecordedEpisode) -> RecordedEpisode:
-    """Returns an episode with images for all its rows."""
+def _with_images(env: SimulatedEnvironment, episode: RecordedEpisode, options: EnvironmentOptions) -> RecordedEpisode:
+    """Returns an episode with images for all its rows, as late as the sensors of its ``options`` give them."""
     record, joints = episode.record, episode.columns[schema.JOINTS]
     reset_scene(env, record["object_id"], record["seed"], record["hidden_overrides"])
     # A late start begins in another state than its scene.
@@ -195,7 +199,8 @@ def _with_images(env: SimulatedEnvironment, episode: RecordedEpisode) -> Recorde
             allowed="the recorded camera and joints",
             hint="use the code and versions of the recording",
         )
-    pictures = [env.pictures_at(row) for row in joints]
+    late = parse_sensing(options.sensing).steps_late(options.fps) if options.is_dense else 0
+    pictures = [env.pictures_at(joints[max(0, row - late)]) for row in range(len(joints))]
     images = {image_column(name): np.stack([picture[name] for picture in pictures]) for name in pictures[0]}
     versions = {**env.software_versions(), "cpu": cpu_model()}
     return RecordedEpisode({**episode.columns, **images}, {**record, "versions": versions})

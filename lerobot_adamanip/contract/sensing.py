@@ -72,6 +72,10 @@ class Sensing:
         """Whether single pixels of a depth image change."""
         return any(getattr(self, name) > 0 for name in _OF_DEPTH)
 
+    def steps_late(self, fps: int) -> int:
+        """Returns the age of clouds and images in steps of dense control at ``fps`` Hz."""
+        return round(1e-3 * self.latency_ms * fps)
+
 
 _OF_DEPTH = ("disparity_noise_px", "disparity_step_px", "grazing_deg", "edge_holes", "flying", "lost", "dull")
 _LARGEST: Mapping[str, float] = {

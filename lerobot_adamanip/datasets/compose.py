@@ -23,6 +23,7 @@ from lerobot_adamanip.datasets.cutting import cut_episode
 from lerobot_adamanip.datasets.dataset import Dataset, camera_of, read_back
 from lerobot_adamanip.datasets.encoding import quieten, video_encoder
 from lerobot_adamanip.datasets.opening import as_typed, plain_feature
+from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.statistics import compute_statistics, write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
@@ -99,6 +100,7 @@ def compose(
     files.crash_point("dataset written")
     _restore_info(out, sources)
     _describe(out, pieces, selection, dataset.meta.features)
+    keep_unscaled_poses(out, sources)
     files.crash_point("dataset described")
     files.sync_tree(out)
     files.crash_point("dataset synced")

@@ -71,7 +71,7 @@ def counted_labels(dataset: Dataset) -> DataFrame:
     episode, failed = rows["episode_index"], rows[schema.FAILED].astype(bool)
     tried, ends = rows[schema.TRIED] >= 0, ~rows[schema.DONE].astype(bool)
     if is_dense:  # a try lasts several rows, and so does a key frame
-        one_try = [schema.TRIED, schema.DIRECTION, schema.TRIAL]
+        one_try = [schema.TRIED, schema.DIRECTION, schema.TRIAL, schema.FAILED]
         tried &= ~rows.duplicated(["episode_index", *one_try])
         is_last = rows[schema.DONE].shift(-1, fill_value=True).astype(bool)
         ends &= (rows[schema.OUTCOME] != schema.GOES_ON) | is_last

@@ -169,7 +169,7 @@ def _folder_name(by: str, value: Any) -> str:
 
 
 def _check_shares(shares: Mapping[str, float], groups: int, by: str) -> None:
-    if len(shares) < 2 or min(shares.values()) <= 0 or abs(sum(shares.values()) - 1) > _ROUNDING:
+    if len(shares) < 2 or min(shares.values()) <= 0 or not abs(sum(shares.values()) - 1) <= _ROUNDING:  # also of NaN
         raise ConfigurationError(
             "These are not shares of one dataset.",
             got=", ".join(f"{name}={share:g}" for name, share in shares.items()),

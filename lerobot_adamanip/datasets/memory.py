@@ -69,6 +69,8 @@ def add_memory(
         output.require_free()
         source = Dataset(root, recordings=True)
         addition = _addition(source, form)
+        if manifest_path(source.root).is_file():
+            source.manifest(assets)  # an error before the work, which the card would raise after it
         output.require_room(files.tree_bytes(source.root))
         built, name = output.fresh("dataset"), repo_id or f"local/{output.root.name}"
         pieces = [(source, episode) for episode in range(len(source))]
@@ -82,7 +84,7 @@ def add_memory(
             files.write_atomically(
                 manifest_path(built), (json.dumps(content, indent=2, sort_keys=True) + "\n").encode()
             )
-        if (source.root / "README.md").is_file():
+        if (source.root / "README.md").is_file() and not is_dense(source.features):
             (built / "README.md").write_text(dataset_card(built, output.root.name, name, assets))
         output.publish(built)
     return len(source)

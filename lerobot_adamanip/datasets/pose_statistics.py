@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POSE_NAMES, STATE, Statistics, fix_pose_statistics
-from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES
+from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES, Dataset
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.hardware.features import names_of
@@ -43,3 +43,10 @@ def leave_poses_unscaled(root: Path | str) -> None:
     plain = plain_statistics(unscaled_poses(measured, read_info(Path(root))["features"]))
     if plain != measured:
         files.write_atomically(path, (json.dumps(plain, indent=4) + "\n").encode())
+
+
+def keep_unscaled_poses(out: Path, sources: Sequence[Dataset]) -> None:
+    """Leaves the poses of a dataset unscaled if those of all ``sources`` are; see `leave_poses_unscaled`."""
+    stored = [(read(one.root / "meta" / "stats.json", MAX_STATISTICS_BYTES), one.features) for one in sources]
+    if all(plain_statistics(unscaled_poses(stats, features)) == stats for stats, features in stored):
+        leave_poses_unscaled(out)

@@ -5,6 +5,7 @@ A part of a part refers to the first dataset. The file may be untrusted, so ever
 
 from __future__ import annotations
 
+import contextlib
 import hashlib
 import json
 import shlex
@@ -19,11 +20,12 @@ from lerobot_adamanip.util.json_fields import integer, listing, read, table, tex
 FORMAT = 1
 _MOST = 10_000_000
 _COMMANDS = ("filter", "split")
+_LONGEST, _MOST_COMMANDS = 4000, 100
 
 
 def _command(name: str, value: object) -> str:
     """Checks a command that selected episodes; a card shows it to be typed."""
-    command: str = text(r"[^\x00-\x1f\x7f`]{1,4000}", "a command")(name, value)
+    command: str = text(rf"[^\x00-\x1f\x7f`]{{1,{_LONGEST}}}", "a command")(name, value)
     words = shlex.split(command)
     if words[:1] != ["adamanip"] or words[1:2] not in ([each] for each in _COMMANDS) or shlex.join(words) != command:
         raise ValueError(f"{name} is {command[:80]!r}, not a command of adamanip {' or '.join(_COMMANDS)}")
@@ -36,7 +38,7 @@ _SELECTION = table(
         "source": text(r"[0-9a-f]{32}", "a hash"),
         "source_episodes": integer(1, _MOST),
         "episodes": listing(integer(0, _MOST), 1, _MOST),
-        "made_with": listing(_command, 0, 100),
+        "made_with": listing(_command, 0, _MOST_COMMANDS),
     }
 )
 
@@ -52,7 +54,8 @@ class Selection:
     episodes: tuple[int, ...]
     """Episode indices in that dataset, in the order of the part."""
     made_with: tuple[str, ...] = ()
-    """Commands that selected the episodes, in order; DATASET stands for the result of the previous one."""
+    """Commands that selected the episodes, as far as they are known, in order; DATASET stands for the result of the
+    previous one."""
 
     @property
     def is_whole(self) -> bool:
@@ -62,10 +65,14 @@ class Selection:
     def of(self, chosen: Sequence[int], command: Sequence[str]) -> Selection:
         """Returns the selection of some of these episodes, given their positions in `episodes`.
 
-        ``command`` are the words of the command that selected them, without a path.
+        ``command`` are the words of the command that selected them, without a path. One that a card could not show,
+        and the earliest of very many, are left out.
         """
         episodes = tuple(self.episodes[place] for place in chosen)
-        return Selection(self.source, self.source_episodes, episodes, (*self.made_with, shlex.join(command)))
+        commands = self.made_with
+        with contextlib.suppress(ValueError):
+            commands = (*commands, _command("the command", shlex.join(command)))[-_MOST_COMMANDS:]
+        return Selection(self.source, self.source_episodes, episodes, commands)
 
 
 def selection_path(root: Path) -> Path:

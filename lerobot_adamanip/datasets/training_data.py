@@ -36,9 +36,14 @@ def _training_root(checkpoint: Path) -> Path:
 
 
 def training_options(checkpoint: Path) -> dict[str, Any]:
-    """Returns the options of the training; none if the checkpoint does not hold them."""
+    """Returns the options of the training; none if the checkpoint, a folder or a name on the Hub, lacks them."""
     try:
-        options = json.loads((checkpoint / "train_config.json").read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        path = checkpoint / "train_config.json"
+        if not checkpoint.exists():
+            from huggingface_hub import hf_hub_download
+
+            path = Path(hf_hub_download(checkpoint.as_posix(), path.name))
+        options = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):  # the Hub's errors are among them
         return {}
     return options if isinstance(options, dict) else {}

@@ -11,8 +11,9 @@ from typing import Any
 
 from safetensors import safe_open
 
+from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, citation, front_matter
-from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.evaluation.results import ResultFile, command_options
 from lerobot_adamanip.hub.model_index import eval_results, results_table
 
 _HIDDEN = "articulated objects whose mechanism cannot be seen"
@@ -48,6 +49,9 @@ _ROWS = {
     "num_inference_steps": ("sampling steps", "{}"),
 }
 """Policy option -> its name and format on a card."""
+_OF_ALL = ("memory", "image_size", "num_points", "sensing", "self_calibration")
+_OF_ENVIRONMENT = ("control", "fps", "action", "state", "observe_cloud", "observe_effort", *_OF_ALL)
+"""Options of environments that a policy may need: at both controls, and with those of control rate."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -91,7 +95,7 @@ def model_card(
     """
     config, training = checkpoint.config, checkpoint.training
     kind, demos = str(config["type"]), dataset or _dataset_of(training)
-    env_type = str((training.get("env") or {}).get("type") or "adamanip")
+    env_type, env_options = _environment(training.get("env") or {}, results)
     fields: dict[str, Any] = {
         "license": config.get("license") or LICENSE,
         "library_name": "lerobot",
@@ -109,8 +113,9 @@ def model_card(
         summary=_SUMMARIES.get(kind, f"LeRobot's `{kind}`, trained on demonstrations at articulated objects."),
         repo_id=repo_id,
         env_type=env_type,
+        env_options="".join(f" --env.{name}={value}" for name, value in env_options.items()),
         facts=_facts(checkpoint),
-        notes=_notes(config),
+        notes=_notes(config, env_options),
         results=results_table(results),
         training=_training(training, demos),
         command=train_command(training, kind, env_type, demos),
@@ -118,11 +123,25 @@ def model_card(
     )
 
 
-def _notes(config: Mapping[str, Any]) -> str:
+def _environment(trained: Mapping[str, Any], results: Sequence[ResultFile]) -> tuple[str, dict[str, str]]:
+    """Returns the type and the options of the environments to evaluate in: those of the results, or of the training."""
+    given = {name: trained[name] for name in _OF_ENVIRONMENT if trained.get(name) is not None}
+    options = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in given.items()}
+    kind = str(trained.get("type") or "adamanip")
+    if results:
+        typed = command_options(results[0].command)
+        options = {name: typed[f"--env.{name}"] for name in _OF_ENVIRONMENT if f"--env.{name}" in typed} or options
+        categories = {row.category for result in results for row in result.rows}
+        kind = f"adamanip_{categories.pop()}" if len(categories) == 1 else kind
+    is_dense = options.get("control") == DENSE
+    return kind, options if is_dense else {name: options[name] for name in _OF_ALL if name in options}
+
+
+def _notes(config: Mapping[str, Any], env_options: Mapping[str, str]) -> str:
     preset = str(config.get("preset"))
-    fps = config.get("control_fps")
-    action = f"It acts at control rate, {fps} Hz." if fps else _KEY_FRAME
-    first = f"{action} {_METHODS.get(preset, '')}".rstrip()
+    fps = config.get("control_fps") or (env_options.get("control") == DENSE and env_options.get("fps", 10))
+    action = f"It acts at control rate, {fps} Hz." if fps else _KEY_FRAME if "control_fps" in config else ""
+    first = f"{action} {_METHODS.get(preset, '')}".strip()
     remembers = preset in ("keyframe", "dense") and config.get("n_action_history_steps")
     return f"{first}\n{_CONTACTS}" if remembers else first
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import runpy
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ import pytest
 from benchmark_helpers import FakeRunner, benchmark, run_all
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
-from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, TRACKS, leaderboard_page, read_entry
+from lerobot_adamanip.benchmark.leaderboard import COLUMNS, DECLARATION, SCALES, TRACKS, leaderboard_page, read_entry
 from lerobot_adamanip.benchmark.plan import all_cells, options_key
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import Metrics
@@ -70,6 +71,31 @@ def test_the_best_entry_comes_first(enter: MakeEntry) -> None:
     assert "No entry yet." in leaderboard_page({})
 
 
+def test_each_track_has_its_column(enter: MakeEntry) -> None:
+    entry = read_entry(enter("mine", 30))
+    for column, (scale, objects) in enumerate(COLUMNS):
+        results = {name: dict(each) for name, each in entry.results.items()}
+        for cell, result in results[scale].items():
+            if cell.objects == objects:
+                row = dataclasses.replace(result.rows[0], metrics=Metrics(rate(0, 60), rate(0, 60)))
+                results[scale][cell] = dataclasses.replace(result, rows=(row,))
+        _, (_, _, *shares) = dataclasses.replace(entry, results=results).row()
+        assert [share == "0.0 %" for share in shares[:4]] == [number == column for number in range(4)]
+
+
+def test_other_files_are_no_part_of_an_entry(enter: MakeEntry, project_root: Path) -> None:
+    folder = enter("mine", 30)
+    path = next((folder / "row").glob("*.json"))
+    run = read_result(path).run
+    assert run is not None
+    write_result(
+        folder / "row" / "other.json", dataclasses.replace(read_result(path), run=dataclasses.replace(run, seed=7))
+    )
+    assert "row: 1 files that are no result of a declared cell" in lacking(folder)
+    shutil.copy(project_root / "results" / "demo.json", folder / "row" / "other.json")
+    assert "row: 1 files that are no result of a declared cell" in lacking(folder)
+
+
 def test_a_script_checks_an_entry(
     enter: MakeEntry, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -116,6 +142,7 @@ def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEnt
             "other scenes (--env.max_failed_tries)",
         ),
         ('evaluate = ["--seed=1"]', "evaluated in other scenes (--seed)"),
+        ('evaluate = ["--env.type=adamanip_bottle"]', "evaluated in other scenes (--env.type)"),
         ('evaluate = ["--env.self_calibration=true"]', ""),
     ],
 )

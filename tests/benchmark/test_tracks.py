@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -9,8 +11,9 @@ import pytest
 from benchmark_helpers import SCALE, VERSIONS, content
 
 from lerobot_adamanip.benchmark import declaration
-from lerobot_adamanip.benchmark.declaration import parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, MERGE, Cell, Step, all_cells, plan
+from lerobot_adamanip.benchmark.report import scene_options
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import parse_sensing
 from lerobot_adamanip.mechanisms import categories_with
@@ -111,6 +114,20 @@ def test_errors_of_sensors_are_of_evaluations_and_two_trainings_serve_them_all()
     assert len(trainings) == 2
     assert len(set(sensing.values())) == len({name for name in sensing if not name.startswith("trained")})
     assert sensing["trained_d435"] == sensing["d435"] == ("d435", "false")
+
+
+@pytest.mark.parametrize("path", sorted(PAPER_TABLE.parent.glob("*.toml")), ids=lambda path: path.stem)
+def test_declared_effects_are_in_the_same_scenes(path: Path) -> None:
+    """Else the report would leave them out without a word."""
+    declaration = read_declaration(path)
+    for scale in declaration.scales:
+        cells = set(all_cells(declaration, scale))
+        for effect in declaration.effects:
+            for cell in (one for one in cells if one.method == effect.method):
+                other = dataclasses.replace(cell, method=effect.without)
+                if other in cells and not (effect.categories and cell.category not in effect.categories):
+                    commands = [shlex.join(plan(each, declaration, scale, VERSIONS).command) for each in (cell, other)]
+                    assert len(set(map(scene_options, commands))) == 1, (scale, effect.title)
 
 
 def test_kinds_of_memory_differ_in_nothing_else() -> None:

@@ -122,6 +122,10 @@ class SensorErrors:
             del past[moment]
         return cast(T, next(iter(past.values())))
 
+    def restart(self) -> None:
+        """Forgets what the sensors saw: the present state becomes the first."""
+        self._past.clear()
+
     def _generator(self, use: int) -> np.random.Generator:
         return episode_generator(self._seed, Stream.SENSING, self._category, use, 1 + self._moment())
 

@@ -225,6 +225,9 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._chunks = ChunkGuard(self.name)
         self._episodes += bool(self._episodes == 0 or self._executed)
         if 1 < self._episodes <= self.config.memory_episodes:
+            # Nobody saw where the last action led, so it is no try: the hand opens for the next episode.
+            self._executed[-1] = self._executed[-1].clone()
+            self._executed[-1][:, schema.GRIPPER_DIM] = 1.0
             return
         self._episodes = 1
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=None if self._has_strokes else self._observed_steps)

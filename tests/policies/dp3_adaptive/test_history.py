@@ -145,6 +145,9 @@ def test_a_memory_is_kept_over_as_many_episodes_as_told(make_tiny: MakeTiny, obs
         policy.reset()
     most = policy.config.n_action_history_steps
     assert lengths == [min(most, count) for count in (2, 4, 6, 2, 4)]
+    assert policy.executed_history(1, action)[1].any()
+    opens = policy.executed_history(1, action)[0][:, -1, schema.GRIPPER_DIM] == 1.0
+    assert opens, "the result of an episode's last action is not known, so it is no try"
     policy.config.memory_episodes = 1
     policy.reset()
     assert not policy.executed_history(1, action)[1].any()

@@ -214,7 +214,7 @@ class AdaManipTask(BaseEnv):
 
     def _draw_errors(self, sensing: Sensing, simulation: Simulation) -> SensorErrors:
         fps = self.options.fps
-        steps = round(1e-3 * sensing.latency_ms * fps) if self.options.is_dense else 0
+        steps = sensing.steps_late(fps) if self.options.is_dense else 0
         return SensorErrors(
             sensing,
             int(self._episode_seed[0]),
