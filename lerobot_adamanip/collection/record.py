@@ -98,7 +98,7 @@ class Attempt:
         hidden_state: sampled values; None if no reachable layout was found.
         success: whether the expert succeeded.
         reason: ``success``, or the cause of failure.
-        key_frames: number of key frames.
+        key_frames: number of key frames, or of steps at control rate.
         late: whether it had a late start.
     """
 
@@ -296,7 +296,7 @@ def attempt_episode(
         failures=[vars(attempt) for attempt in request.earlier] if is_kept else [],
         episode_record=episode_record,
     )
-    attempt = Attempt(request.seed, hidden, result.success, result.reason, result.key_frames, late)
+    attempt = Attempt(request.seed, hidden, result.success, result.reason, episode_record["key_frames"], late)
     columns = recorder.columns()
     record_of_rows = with_row_tasks(description.record(env.task_description), columns, spec.environment)
     return attempt, RecordedEpisode(columns, record_of_rows)

@@ -24,7 +24,7 @@ class CategorySummary:
     Attributes:
         episodes: number in the dataset.
         attempts: number of attempted episodes.
-        mean_key_frames: mean length of an episode.
+        mean_key_frames: mean length of an episode, in key frames, or in steps at control rate.
         recorded: number recorded by this run.
         worker_seconds: worker time of this run, summed over workers.
     """

@@ -30,7 +30,7 @@ class AttemptRecord:
         hidden_state: hidden values of the episode; None if there was no layout.
         kept: whether the dataset contains it.
         reason: ``success``, or the reason of the failure.
-        key_frames: number of them.
+        key_frames: number of them, or of steps at control rate.
         late: whether it started from a mid-task state.
     """
 

@@ -26,7 +26,8 @@ from lerobot_adamanip.contract.control import (
     JOINT,
     STATES,
 )
-from lerobot_adamanip.contract.memory import EVENTS, MEMORY
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, SO_FAR, TEXT
+from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
@@ -69,9 +70,10 @@ COLUMNS = {
     schema.TRIAL: "failed tries before this row",
     schema.OUTCOME: "of this row's action: 0 reached, 1 stalled, 2 time limit, 3 unreachable",
     schema.TRIED: "joint that this row's action tried to move: 0 the one that opens, 1 and up the others, -1 none",
-    schema.FAILED: "whether that try failed: the joint covered less than half of the way it was sent",
+    schema.FAILED: "whether that try failed: the joint did not move",
     schema.PROGRESS: "how far that joint moved, in the direction it was sent [rad or m]",
-    schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove and `action` corrects it",
+    schema.EXECUTED: "what the arm was sent: `action`, but where a policy drove or a mistake was made, and `action` "
+    "corrects it",
     schema.JOINTS: "positions of all joints, from which `adamanip render` makes pictures: never a policy's input",
     schema.SUCCESS: "whether the task is done after this row's action",
     schema.DONE: "true in an episode's last row: the final observation; its action stays in place and was not sent",
@@ -87,7 +89,6 @@ DENSE_COLUMNS = {
     schema.DIRECTION: "sign of that try; 0 without one",
     schema.FAILED: "whether that try fails: the joint will not have moved by its end",
     schema.PROGRESS: "how far that joint moved in this row, in the direction of the try [rad or m]",
-    schema.EXECUTED: "what the arm was sent: equal to `action`",
     schema.KEY_FRAME: "the expert's key frame: position [m], rotation 6D, gripper (0 closed, 1 open)",
 }
 """Column of a dataset at control rate -> meaning."""
@@ -191,17 +192,17 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     manifest = dataset.manifest(assets) if manifest_path(folder).exists() else None
     episodes = dataset.descriptions()
     return card_template("dense_card.md" if is_dense else "dataset_card.md").substitute(
-        {**fields, **(_dense_fields(dataset) if is_dense else {})},
+        {**fields, **(_dense_fields(dataset, manifest) if is_dense else {})},
         **_counts(episodes),
         failed_kinds="; ".join(failed_tries_text(failed_tries_by_kind(episode_records(dataset)))) or "none",
         **_attempts(dataset, manifest, episodes),
-        **_scene(dataset, episodes),
+        **_scene(dataset, manifest, episodes),
         **_origin(dataset, manifest, episodes, name.removesuffix("-failed")),
         root_option=" --dataset.root=DIR" if repo_id.startswith("local/") else "",
     )
 
 
-def _dense_fields(dataset: Dataset) -> dict[str, object]:
+def _dense_fields(dataset: Dataset, manifest: Manifest | None) -> dict[str, object]:
     """Returns the fields of a dataset at control rate: kinds of action and state, cameras, and a policy's options."""
     action, state = (kind_by_size(dataset.features, key) for key in (schema.ACTION, schema.STATE))
     cameras = [name for name in CAMERAS if image_column(name) in dataset.features]
@@ -214,7 +215,14 @@ def _dense_fields(dataset: Dataset) -> dict[str, object]:
         options["image_size"] = height
         options |= {} if cameras == list(CAMERAS) else {"cameras": f"'[{','.join(cameras)}]'"}
     options |= {"observe_cloud": "true"} if has_cloud else {}
-    options |= {"memory": EVENTS} if MEMORY in dataset.features else {}
+    is_told = any(SO_FAR in task for task in dataset.tasks.values())
+    options |= {"memory": EVENTS} if MEMORY in dataset.features else {"memory": TEXT} if is_told else {}
+    if manifest is not None:
+        made = manifest.spec.environment
+        options |= {"image_source": made.images_from} if cameras else {}
+        options |= {"num_points": made.num_points} if has_cloud else {}
+        options |= {"sensing": made.sensing} if made.sensing != EXACT else {}
+        options |= {"self_calibration": "true"} if made.self_calibration else {}
     options |= {"observe_effort": "true"} if schema.EFFORT in dataset.features else {}
     return {
         "action": action,
@@ -305,7 +313,7 @@ def _origin(
     }
 
 
-def _scene(dataset: Dataset, episodes: Sequence[EpisodeDescription]) -> dict[str, object]:
+def _scene(dataset: Dataset, manifest: Manifest | None, episodes: Sequence[EpisodeDescription]) -> dict[str, object]:
     pictures = "There are no pictures (`adamanip render` adds them)"
     if columns := [key for key in dataset.features if is_image_column(key)]:
         height, width = dataset.features[columns[0]]["shape"][:2]
@@ -315,7 +323,13 @@ def _scene(dataset: Dataset, episodes: Sequence[EpisodeDescription]) -> dict[str
     moves = "its pose is drawn anew for each episode" if len(poses) > 1 else "its pose is the same in all episodes"
     external = any(is_asset_id(episode.object_id) for episode in episodes)
     objects = " from external models" if external else ", generated from parameters"
-    return {"pictures": pictures, "camera_pose": moves, "kind_of_objects": objects}
+    exact = manifest is None or manifest.spec.environment.sensing == EXACT
+    return {
+        "pictures": pictures,
+        "camera_pose": moves,
+        "kind_of_objects": objects,
+        "sensing": "without a depth camera's noise, holes and reflections" if exact else "with simulated sensor errors",
+    }
 
 
 def _counts(episodes: Sequence[EpisodeDescription]) -> dict[str, object]:

@@ -196,6 +196,20 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     assert "--steps=5" in card.text
 
 
+def test_a_policy_at_control_rate_says_how_it_is_evaluated(project_root: Path) -> None:
+    """Its category and options are those of its results, since a training need not name them."""
+    path = project_root / "results" / "benchmark" / "one_object" / "act-safe-seen-1000.json"
+    (result,) = results_for_card([path])
+    text = model_card(Checkpoint({"type": "act"}, {"steps": 5}, 1), "someone/policy", results=[result])
+    assert "--env.type=adamanip_safe --env.control=dense --env.action=ee_pose --env.state=pose" in text
+    assert "--env.memory=events --env.image_size=96 " in text.replace("--env.num_points=1024 ", "")
+    assert "It acts at control rate, 10 Hz." in text
+    assert "One action is one key frame" not in text
+    key_frames = model_card(Checkpoint({"type": "dp3_adaptive", "control_fps": None}, {}, 1), "someone/policy")
+    assert "One action is one key frame" in key_frames
+    assert "--env.control" not in key_frames
+
+
 def test_results_of_an_episode_log_need_its_command(
     project_root: Path, tmp_path: Path, refuses: Callable[..., str]
 ) -> None:

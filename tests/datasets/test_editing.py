@@ -18,6 +18,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets import cutting
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
+from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
 from lerobot_adamanip.util.errors import AdaManipError
 from lerobot_adamanip.util.video import write_video
@@ -96,6 +97,25 @@ def test_a_filtered_dataset_holds_those_episodes_as_they_were(whole: Path, tmp_p
     np.testing.assert_array_equal(after["index"], np.arange(kept.sum()))
     renumbered = [chosen.index(index) for index in before["episode_index"][kept]]
     np.testing.assert_array_equal(after["episode_index"], renumbered)
+
+
+def test_a_condition_too_long_for_a_card_leaves_a_part_that_can_be_read(unpictured: Path, tmp_path: Path) -> None:
+    condition = f"episode_index={','.join(map(str, range(0, 2000, 2)))}"
+    filter_episodes(unpictured, [condition], tmp_path / "part")
+    assert read_selection(tmp_path / "part", 3).made_with == ()
+    filter_episodes(tmp_path / "part", ["episode_index=0"], tmp_path / "one")
+    (command,) = read_selection(tmp_path / "one", 1).made_with
+    assert "episode_index=0" in command
+
+
+def test_poses_stay_unscaled(unpictured: Path, tmp_path: Path) -> None:
+    shutil.copytree(unpictured, tmp_path / "copy")
+    leave_poses_unscaled(tmp_path / "copy")
+    for root, name in ((unpictured, "scaled"), (tmp_path / "copy", "unscaled")):
+        filter_episodes(root, ["episode_index=0:4"], tmp_path / name)
+    statistics = [json.loads((tmp_path / name / "meta" / "stats.json").read_text()) for name in ("scaled", "unscaled")]
+    deviations = [each["action"]["std"][3:] for each in statistics]
+    assert deviations[0] != deviations[1] == [1.0] * 7
 
 
 @pytest.mark.parametrize("rows_each", [1000, 5])
@@ -256,6 +276,7 @@ def test_a_selection_that_cannot_be_is_one_clear_error(tmp_path: Path, content: 
         (["--parts", "a=0.5,a=0.5"], "Wrong parts"),
         (["--parts", "../a=0.5,b=0.5"], "Wrong parts"),
         (["--parts", "a=half,b=0.5"], "Wrong parts"),
+        (["--parts", "a=0.8,b=nan"], "not shares of one"),
         ([], "Wrong parts"),
         (["--by", "nothing"], "has this"),
         (["--parts", "a=0.2,b=0.3,c=0.5", "--by", "object_id"], "fewer values than parts"),

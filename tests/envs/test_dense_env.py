@@ -112,6 +112,12 @@ def test_the_environment_is_registered_with_gymnasium() -> None:
         env.close()
 
 
+def test_an_environment_refuses_the_other_control() -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)KeyframeEnv with control='dense'.*try:.*DenseEnv"):
+        KeyframeEnv("safe", control="dense")
+    assert DenseEnv("safe", observe_images=False).options.is_dense
+
+
 @pytest.mark.sim
 def test_malformed_actions_and_unknown_values_are_refused() -> None:
     for name, value in (("fps", 30), ("action", "pose"), ("state", "all"), ("max_steps", 0)):

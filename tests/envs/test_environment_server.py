@@ -68,7 +68,9 @@ def test_worlds_of_one_server_are_one_evaluation(tmp_path: Path) -> None:
     assert None not in {world.unwrapped.options.run_id for world in worlds}
 
 
-@pytest.mark.parametrize("wrong", [{"task": "teapot"}, {"task": ""}, {"points": 3}, {"split": "holdout"}])
+@pytest.mark.parametrize(
+    "wrong", [{"task": "teapot"}, {"task": ""}, {"points": 3}, {"split": "holdout"}, {"control": "dense"}]
+)
 def test_what_there_is_not_is_refused_before_a_world_is_made(refuses: Any, wrong: dict[str, Any]) -> None:
     refuses(ConfigurationError, lambda: create_adamanip_envs(**{"task": "safe", "n_envs": 1, "env_cls": list, **wrong}))
 

@@ -117,6 +117,15 @@ def test_a_policy_of_another_workspace_is_refused(tmp_path: Path, monkeypatch: p
     require_fitting_policy(default, ["safe"])
 
 
+def test_a_memory_in_the_instruction_must_be_that_of_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = checkpoint(tmp_path / "act", env={"type": "adamanip_safe", "memory": "text"})
+    with pytest.raises(ConfigurationError, match=r"(?s)memory=none.*try:.*--env.memory=text"):
+        evaluate(monkeypatch, path)
+    evaluate(monkeypatch, path, memory="text")
+
+
 # Control --------------------------------------------------------------------------------------------------------------
 
 

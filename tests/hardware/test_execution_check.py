@@ -176,3 +176,5 @@ def test_the_preprocessor_of_our_policies_refuses_a_stream() -> None:
     depth = {"observation.images.front_depth": torch.zeros(8, 8, 1)}
     with pytest.raises(ConfigurationError, match=r"--robot\.execution=keyframe"):
         DepthToCloudStep()({"observation": depth})  # type: ignore[typeddict-item,typeddict-unknown-key]
+    with pytest.raises(ConfigurationError, match="calibration of camera"):  # the mode fits
+        DepthToCloudStep(control_fps=10)({"observation": depth})  # type: ignore[typeddict-item,typeddict-unknown-key]

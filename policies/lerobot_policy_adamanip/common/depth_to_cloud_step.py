@@ -58,6 +58,7 @@ class DepthToCloudStep(SameFeaturesStep):
         lower, upper: corners of the workspace, robot base frame [m].
         camera: key of the camera in the robot's configuration.
         calibration: path of a calibration file; None for the connected robot's.
+        control_fps: rate of the policy [Hz]; None for key frames.
     """
 
     num_points: int = DEFAULT_NUM_POINTS
@@ -65,12 +66,14 @@ class DepthToCloudStep(SameFeaturesStep):
     upper: tuple[float, float, float] = DEFAULT_WORKSPACE.upper
     camera: str = FRONT_CAMERA
     calibration: str | None = None
+    control_fps: int | None = None
     _read: CameraCalibration | None = field(default=None, init=False, repr=False)
 
     @classmethod
     def of(cls, config: CloudPolicyConfig) -> Self:
         """Returns the step that makes clouds like those that a policy was trained on."""
-        return cls(config.num_points, config.workspace_lower, config.workspace_upper, config.depth_camera)
+        workspace = config.workspace_lower, config.workspace_upper
+        return cls(config.num_points, *workspace, config.depth_camera, control_fps=config.control_fps)
 
     def __post_init__(self) -> None:
         """Raises `ConfigurationError` for an invalid number of points."""
@@ -89,15 +92,15 @@ class DepthToCloudStep(SameFeaturesStep):
         kept[POINT_CLOUD] = cloud.to(picture.device)
         return cast(EnvTransition, {**transition, TransitionKey.OBSERVATION: kept})
 
-    @staticmethod
-    def _check_execution() -> None:
-        """Raises `ConfigurationError` if the connected robot executes a stream: these policies predict key frames."""
+    def _check_execution(self) -> None:
+        """Raises `ConfigurationError` if the connected robot executes a policy of the other control."""
         from lerobot_adamanip.hardware.adamanip_franka.execution_check import require_execution
         from lerobot_adamanip.hardware.arm import Execution
         from lerobot_adamanip.hardware.robot_registry import ROBOTS
 
         session = ROBOTS.find()
-        require_execution(Execution.KEYFRAME, None if session is None else session.execution, "this policy")
+        needed = Execution.KEYFRAME if self.control_fps is None else Execution.STREAM
+        require_execution(needed, None if session is None else session.execution, "this policy")
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
         """Converts depth (..., H, W, 1) or (..., 1, H, W) [mm] to (..., N, 3) [m]; adds a missing batch dimension."""
@@ -148,8 +151,8 @@ class DepthToCloudStep(SameFeaturesStep):
 
     def get_config(self) -> dict[str, Any]:
         """Returns the options, JSON-able."""
-        options = {name: getattr(self, name) for name in ("num_points", "lower", "upper", "camera", "calibration")}
-        return {**options, "lower": list(self.lower), "upper": list(self.upper)}
+        names = ("num_points", "lower", "upper", "camera", "calibration", "control_fps")
+        return {**{name: getattr(self, name) for name in names}, "lower": list(self.lower), "upper": list(self.upper)}
 
 
 def _corner(numbers: Sequence[float]) -> tuple[float, float, float]:
