@@ -6,8 +6,8 @@ A felt try needs nothing but tool poses, finger openings and commands, which a r
 A closed hand *pushes* in a step if it holds something and is commanded to move, or is empty and is commanded forward.
 A key frame with a push is a try. At control rate a try is a *stroke*: steps in which the hand pushes in one direction.
 The hand was *blocked* if it covered less than `FELT_SHARE` of the commanded motion, and else it *moved*. An empty hand
-that follows its command has touched nothing; that is no try. Nor does a hand push at control rate while its fingers
-still move, or while it moves against its command: it closes, or an earlier motion settles.
+that follows its command has touched nothing; that is no try. Nor does a hand push at control rate that still moves
+against its command: an earlier motion settles.
 """
 
 from __future__ import annotations
@@ -29,9 +29,6 @@ MIN_SHIFT_M, MIN_TURN_RAD = 0.008, 0.1
 MIN_LAG_M, MIN_LAG_RAD = 0.004, 0.04
 """Least lag of a pushing hand behind its command at control rate. A hand that holds a part at rest lags by up to
 0.001 m and 0.016 rad, one that moves or is blocked by 0.01 m or 0.05 rad."""
-STILL_FINGERS = 0.03
-"""Largest change of the gripper opening in a step at control rate of a hand that pushes; fingers that close move by
-0.05 or more."""
 SAME_DIRECTION = 0.5
 """Least cosine between the commanded motions of two steps of a stroke, and of two tries that are the same."""
 FELT_SHARE = 0.2
@@ -130,11 +127,11 @@ class FeltTries:
         shift, turn = np.linalg.norm(motion[:3]), np.linalg.norm(motion[3:])
         measured = tool_motion(before.tcp_in_base, after.tcp_in_base)
         share = _share(commanded, measured)
-        is_still = share >= -FELT_SHARE and abs(after.gripper - before.gripper) <= STILL_FINGERS
+        settles = self._held_steps is not None and share < -FELT_SHARE
         is_push = (
             is_closed
             and was_closed
-            and (is_still or self._held_steps is None)
+            and not settles
             and pushes(shift, turn, motion[2], before.gripper, self._min_motion)
         )
         goes_on = is_push and self._stroke is not None and _is_along(commanded, self._stroke.direction)

@@ -49,9 +49,11 @@ _ROWS = {
     "num_inference_steps": ("sampling steps", "{}"),
 }
 """Policy option -> its name and format on a card."""
-_OF_ALL = ("memory", "image_size", "num_points", "sensing", "self_calibration")
-_OF_ENVIRONMENT = ("control", "fps", "action", "state", "observe_cloud", "observe_effort", *_OF_ALL)
-"""Options of environments that a policy may need: at both controls, and with those of control rate."""
+_OF_DENSE = ("control", "fps", "action", "state", "observe_cloud", "observe_effort")
+_OF_ALL = {
+    "memory": "none", "image_size": "256", "num_points": "1024", "sensing": "exact", "self_calibration": "false",
+}  # fmt: skip
+"""Options of environments that a policy may need: at control rate, and at both controls with their defaults."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -125,16 +127,14 @@ def model_card(
 
 def _environment(trained: Mapping[str, Any], results: Sequence[ResultFile]) -> tuple[str, dict[str, str]]:
     """Returns the type and the options of the environments to evaluate in: those of the results, or of the training."""
-    given = {name: trained[name] for name in _OF_ENVIRONMENT if trained.get(name) is not None}
-    options = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in given.items()}
+    options = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in trained.items()}
     kind = str(trained.get("type") or "adamanip")
     if results:
-        typed = command_options(results[0].command)
-        options = {name: typed[f"--env.{name}"] for name in _OF_ENVIRONMENT if f"--env.{name}" in typed} or options
+        options = {name.removeprefix("--env."): value for name, value in command_options(results[0].command).items()}
         categories = {row.category for result in results for row in result.rows}
         kind = f"adamanip_{categories.pop()}" if len(categories) == 1 else kind
-    is_dense = options.get("control") == DENSE
-    return kind, options if is_dense else {name: options[name] for name in _OF_ALL if name in options}
+    names = (*(_OF_DENSE if options.get("control") == DENSE else ()), *_OF_ALL)
+    return kind, {name: options[name] for name in names if options.get(name, _OF_ALL.get(name)) != _OF_ALL.get(name)}
 
 
 def _notes(config: Mapping[str, Any], env_options: Mapping[str, str]) -> str:

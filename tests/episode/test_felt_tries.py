@@ -128,14 +128,6 @@ def test_a_hand_that_still_moves_the_other_way_is_not_held_back(dense: Stream) -
     assert [(event.blocked, event.times) for event in dense.memory.events] == [(False, 1)]
 
 
-def test_a_hand_whose_fingers_still_close_tries_nothing(dense: Stream) -> None:
-    for _ in range(4):
-        dense.gripper -= 0.05
-        dense.sends((0.0, 0.0, -0.01), share=0.0)
-    dense.sends(share=1.0)
-    assert not dense.memory.events
-
-
 def test_a_hand_at_rest_tries_nothing(dense: Stream) -> None:
     for _ in range(20):
         dense.sends((0.0, 0.0, -0.001), share=0.0)

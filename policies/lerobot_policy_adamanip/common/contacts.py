@@ -16,15 +16,7 @@ from torch import Tensor, nn
 
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
-from lerobot_adamanip.episode.felt_tries import (
-    FELT_SHARE,
-    MIN_LAG_M,
-    MIN_LAG_RAD,
-    MIN_SHIFT_M,
-    MIN_TURN_RAD,
-    STILL_FINGERS,
-    pushes,
-)
+from lerobot_adamanip.episode.felt_tries import FELT_SHARE, MIN_LAG_M, MIN_LAG_RAD, MIN_SHIFT_M, MIN_TURN_RAD, pushes
 from lerobot_policy_adamanip.common.config import CODE
 from lerobot_policy_adamanip.common.geometry import MOTION_DIM, MOTION_UNITS, constant, motion_between
 
@@ -75,17 +67,15 @@ class Past:
         moves = pushes(shift, turn, motion[..., 2], opening, self.min_motion)
         closed = ~self.opens
         result: Tensor = self.valid & moves & closed & F.pad(closed[:, :-1], (1, 0))
-        return result & self._is_still if self.is_dense else result
+        return result & ~self._settles if self.is_dense else result
 
     @property
-    def _is_still(self) -> Tensor:
-        """Mask (B, H) of steps whose fingers stay, and in which no earlier motion settles, see `felt_tries`."""
+    def _settles(self) -> Tensor:
+        """Mask (B, H) of steps in which the hand still moves against its command, see `felt_tries`."""
         measured = motion_between(self.poses[:, 1:], self.poses[:, :-1])
         units = constant(MOTION_UNITS, measured)[:6]
         commanded, covered = self.motions[0][..., :6] / units, measured[..., :6] / units
-        share = (covered * commanded).sum(dim=-1) / (commanded * commanded).sum(dim=-1).clamp(min=1e-12)
-        fingers = self.poses[..., GRIPPER_DIM].diff(dim=1).abs()
-        return (share >= -FELT_SHARE) & (fingers <= STILL_FINGERS)
+        return (covered * commanded).sum(dim=-1) < -FELT_SHARE * (commanded * commanded).sum(dim=-1)
 
     @cached_property
     def missed(self) -> Tensor:
