@@ -25,9 +25,9 @@ from lerobot_adamanip.evaluation.text_format import csv_table, duration_text, ma
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
-MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary, "test_0_2": summary}
+MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary}
 """Scale -> its means in the README."""
-SCALES = ("test", "paper", "one_object", "control_rate", "test_0_2", "paper_0_2")
+SCALES = ("test", "paper", "one_object", "control_rate", "paper_0_2")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"
@@ -42,7 +42,7 @@ They are those of the commit below each table; later versions may spell them oth
 """
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
-![Success by method and category, with intervals, simulation version 2](images/benchmark_success.png)
+![Success by method and category, with intervals, scale test](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 

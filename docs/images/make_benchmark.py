@@ -19,8 +19,8 @@ SHOWN: Mapping[str, tuple[str, str, str]] = {
     "control_rate_losses": ("losses", "control_rate.toml", "control_rate"),
     "paper": ("success", "", "paper_0_2"),
     "paper_losses": ("losses", "", "paper_0_2"),
-    "success": ("success", "", "test_0_2"),
-    "tries": ("tries", "", "test_0_2"),
+    "success": ("success", "default_policy.toml", "test"),
+    "tries": ("tries", "default_policy.toml", "test"),
 }
 """Name -> plot of a report, declaration (none: beside the results) and scale."""
 WIDTH = 1500

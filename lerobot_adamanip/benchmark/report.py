@@ -68,7 +68,7 @@ class BenchmarkReport:
         titles: method -> title with the package that declares it; declared methods first, then others with results.
         paper: method -> name in the paper; empty to hide the paper's numbers.
         effects: declared comparisons, then those of the reference with each other method.
-        categories, splits: in table order.
+        categories, splits: in table order; splits of objects with results, if there are any.
         entries: available numbers by position.
         missing: declared cells without a result.
         unavailable: method -> why it cannot run here; empty if not checked.
@@ -243,7 +243,7 @@ def make_report(
         paper={name: methods[name].paper if name in methods and declared.beside_paper else "" for name in titles},
         effects=(*declaration.effects, *others),
         categories=tuple(name for name in CATEGORIES if any(category == name for category, _ in places)),
-        splits=tuple(name for name in OBJECT_SPLITS if any(objects == name for _, objects in places)),
+        splits=tuple(name for name in OBJECT_SPLITS if any(cell.objects == name for cell in by_cell or cells)),
         entries=_entries(by_cell, declaration, scale, stale),
         missing=tuple(cell for cell in cells if cell not in by_cell),
         unavailable=dict(unavailable or {}),
