@@ -17,10 +17,11 @@ from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
 KEY_FRAME_BUDGETS = (10, 15, 25)
 """Numbers of key frames, for the columns of success within them in the CSV file."""
-CHOSEN = tuple(f"--env.{start}" for start in (
+_CHOSEN = (
     "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
     "memory", "self_calibration",
-))  # fmt: skip
+)  # fmt: skip
+CHOSEN = tuple(f"--env.{start}" for start in _CHOSEN)
 """Starts of the options of an environment that a method may choose: they do not change its scenes."""
 EARLIER, OTHER_OPTIONS = "†", "‡"
 MARKS = {
