@@ -64,7 +64,7 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
                 got=type(env.unwrapped).__name__,
                 allowed="KeyframeEnv, or a wrapper around it",
                 hint="DatasetRecorder(KeyframeEnv('safe'), 'outputs/mine', recorded_by='my policy'); at control rate: "
-                "adamanip collect --control dense",
+                "adamanip collect DIR --control dense",
             )
         self._env = env.unwrapped
         if not re.fullmatch(r"[\w .:+-]{1,80}", recorded_by):

@@ -163,7 +163,7 @@ def test_workspace_and_camera_of_the_dataset_reach_the_checkpoint(
     policy, *_, dataset = saved(lambda: make_toy_policy(method, root), tmp_path / "checkpoint")
     before, _ = make_pre_post_processors(policy.config, pretrained_path=str(tmp_path / "checkpoint"))
     step = next(step for step in before.steps if isinstance(step, DepthToCloudStep))
-    expected = {"num_points": policy.config.num_points, "camera": "side", "calibration": None}
+    expected = {"num_points": policy.config.num_points, "camera": "side", "calibration": None, "control_fps": None}
     assert step.get_config() == {**box, **expected}
     config = PreTrainedConfig.from_pretrained(tmp_path / "checkpoint")
     config.pretrained_path = tmp_path / "checkpoint"
