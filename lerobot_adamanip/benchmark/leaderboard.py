@@ -9,7 +9,7 @@ from pathlib import Path
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
 from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, cell_of, evaluation_options, options_key, plan
-from lerobot_adamanip.benchmark.report import CHOSEN, within
+from lerobot_adamanip.benchmark.report import scene_options, within
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.results import ResultFile, read_results
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
@@ -134,11 +134,11 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
         yield f"simulation versions {' and '.join(sorted(versions))}"
 
 
-def scenes(cell: Cell, declaration: Declaration, scale: str) -> set[tuple[str, str]]:
+def scenes(cell: Cell, declaration: Declaration, scale: str) -> frozenset[tuple[str, str]]:
     """Returns the options of a cell's evaluation that decide its scenes and its limits."""
-    options = evaluation_options(shlex.join(plan(cell, declaration, scale, KeyVersions(0, 0)).command))
-    decide = ("--env.", "--seed", "--eval.n_episodes")
-    return {(name, value) for name, value in options.items() if name.startswith(decide) and not name.startswith(CHOSEN)}
+    command = shlex.join(plan(cell, declaration, scale, KeyVersions(0, 0)).command)
+    options = evaluation_options(command)
+    return scene_options(command) | {(name, options[name]) for name in ("--seed", "--eval.n_episodes")}
 
 
 def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:

@@ -225,7 +225,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._chunks = ChunkGuard(self.name)
         self._episodes += bool(self._episodes == 0 or self._executed)
         if 1 < self._episodes <= self.config.memory_episodes:
-            # Nobody saw where the last action led, so it is no try: the hand opens for the next episode.
+            # The result of the last action was not observed, so it must not count as a try: remember an opening hand.
             self._executed[-1] = self._executed[-1].clone()
             self._executed[-1][:, schema.GRIPPER_DIM] = 1.0
             return
