@@ -291,11 +291,12 @@ class TypicalMotions(nn.Module):
         return difference.square().sum(dim=-1).argmin(dim=-1)
 
     def needs_refinement(self, index: Tensor) -> Tensor:
-        """Returns whether anchors (...) are approaches of an open hand whose end points vary.
+        """Returns whether anchors (...) are approaches, of a hand that is open or holds nothing, whose end points vary.
 
-        A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
+        A hand that holds a part is guided by it, and a hand that releases stays where it is.
         """
-        approaches = (self.anchors[:, -1] > CLOSED_HAND) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        is_free = (self.anchors[:, -1] > CLOSED_HAND) | ~self.starts[:, 1]
+        approaches = is_free & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
         return varying[index]
 
