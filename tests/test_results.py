@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import csv
 import dataclasses
-import importlib.util
 import re
 import shutil
 from pathlib import Path
 from typing import Any
 
+import make_results
 import pytest
 from benchmark_helpers import FakeRunner, benchmark, run_all
 from records import record
@@ -30,11 +30,6 @@ from lerobot_adamanip.evaluation.text_format import csv_table
 from lerobot_adamanip.util.errors import ConfigurationError
 
 ROOT = Path(__file__).resolve().parents[1]
-SPEC = importlib.util.spec_from_file_location("make_results", ROOT / "scripts" / "make_results.py")
-assert SPEC is not None
-assert SPEC.loader is not None
-make_results: Any = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(make_results)
 
 
 def row(subject: str, category: str, objects: str, *counts: int) -> ResultRow:

@@ -1,0 +1,88 @@
+"""Numbers in prose: recomputed from the result files that the sentence stands on."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import make_results
+import pytest
+
+from lerobot_adamanip.benchmark.report import BenchmarkReport
+from lerobot_adamanip.catalog import CATEGORIES
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCUMENTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/memory.md")}
+REPORTS: dict[str, BenchmarkReport] = {each.scale: each for each in make_results.benchmark_reports(ROOT / "results")}
+
+
+def metrics(method: str, *categories: str, scale: str = "test") -> Metrics:
+    entries = REPORTS[scale].entries
+    return pool(entries[method, category, "seen"].metrics for category in categories or CATEGORIES)
+
+
+def counts(of: Metrics) -> str:
+    assert of.success
+    assert of.within_best_tries
+    assert of.repeated
+    return f"{of.success.count}, {of.within_best_tries.count}, {of.repeated.count} of {of.repeated.episodes}"
+
+
+def something_new(method: str, failures: int) -> str:
+    rate = (metrics(method).untried or {})[failures]
+    return f"{rate.count:,} of {rate.episodes:,}"
+
+
+def gain(min_outcome: str) -> PairedDifference:
+    """Returns what the memory adds in the main table, same weights."""
+    report = REPORTS["test"]
+    difference = report.paired(("dp3_adaptive", "without_memory"), report.categories, "seen", min_outcome)
+    assert difference is not None
+    return difference
+
+
+@pytest.mark.parametrize("category", CATEGORIES)
+def test_the_memorys_table_has_the_counts_of_its_cells(category: str) -> None:
+    both = [counts(metrics(method, category)) for method in ("dp3_adaptive", "without_memory")]
+    assert f"| {category.replace('_', ' ')} | {both[0]} | {both[1]} |" in DOCUMENTS["docs/memory.md"]
+
+
+def test_other_counts_are_those_of_a_cell() -> None:
+    measured = {counts(entry.metrics) for report in REPORTS.values() for entry in report.entries.values()}
+    written = {found for text in DOCUMENTS.values() for found in re.findall(r"\d+, \d+, \d+ of \d+", text)}
+    assert len(written) > 30
+    assert not written - measured
+
+
+def test_the_memorys_gain_is_that_of_the_paired_scenes() -> None:
+    within, opened = gain(WITHIN_TRIES), gain(OPENED)
+    interval = f"[{100 * within.low:.0f}, {100 * within.high:.0f}]"
+    text = f"{100 * within.difference:.0f} points more within the tries {interval}"
+    assert text in DOCUMENTS["README.md"]
+    shown = [
+        "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * x for x in (d.difference, d.low, d.high))) for d in (within, opened)
+    ]
+    within_text = shown[0].replace(" [", " points [")
+    assert f"Within the tries that is {within_text} over the nine, in success {shown[1]}" in DOCUMENTS["docs/memory.md"]
+
+
+def test_repeats_and_what_follows_a_failure_are_counted() -> None:
+    repeated, removed = metrics("dp3_adaptive").repeated, metrics("without_memory").repeated
+    assert repeated
+    assert removed
+    text = f"repeats {repeated.count} of {repeated.episodes} failed tries instead of {removed.count:,} of "
+    text += f"{removed.episodes:,}"
+    assert text in DOCUMENTS["README.md"]
+    kept, lost = (
+        [something_new(method, failures) for failures in (1, 2)] for method in ("dp3_adaptive", "without_memory")
+    )
+    text = f"something new in {kept[0]} cases, after two in {kept[1]}; without the memory in {lost[0]} and {lost[1]}"
+    assert text in DOCUMENTS["docs/memory.md"]
+
+
+def test_the_categories_that_fall_short_are_named() -> None:
+    names = {name: metrics("dp3_adaptive", name).within_best_tries for name in CATEGORIES}
+    low = [f"{name}s ({rate.count})" for name, rate in names.items() if rate and (rate.rate or 0) < 0.9]
+    assert f"Below 90 % within the tries are {', '.join(low[:-1])} and {low[-1]}." in DOCUMENTS["README.md"]
