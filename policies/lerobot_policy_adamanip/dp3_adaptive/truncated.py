@@ -7,7 +7,7 @@ the two directions of a knob apart, and take the memory.
 
 A network that encodes a whole cloud locates a handle only to centimetres. In the frame of a proposed pose, the points
 around it look the same wherever the object stands, and each demonstrated goal gives any number of training poses. So a
-`Refiner` corrects the pose of an approach from the points near it.
+`Refiner` corrects the pose of an approach, of a hand that holds nothing, from the points near it.
 """
 
 from __future__ import annotations
