@@ -139,8 +139,9 @@ def _experts() -> list[str]:
         lines.append(f"| {' | '.join(cells)} |")
     lines.append(
         "\nIf the rules fix the direction, the adaptive expert knows it and turns that way first. The static expert "
-        "sees the hidden state: it turns just far enough and uses the key only if needed. Both go on past "
-        "success: doors to 42°, lids to 40 mm.\n\n## When does the adaptive expert try to open?\n"
+        "sees the hidden state: it turns just far enough, at safes and lamps to the stop, and uses the key only if "
+        "needed. Both go on past success: doors to 42°, lids to 40 mm.\n\n"
+        "## When does the adaptive expert try to open?\n"
     )
     lines.append(
         "How far a part must turn is hidden. `--expert-strategy` of `adamanip collect` says when the expert tries to "

@@ -78,7 +78,8 @@ def test_repeats_and_what_follows_a_failure_are_counted() -> None:
     kept, lost = (
         [something_new(method, failures) for failures in (1, 2)] for method in ("dp3_adaptive", "without_memory")
     )
-    text = f"something new in {kept[0]} cases, after two in {kept[1]}; without the memory in {lost[0]} and {lost[1]}"
+    text = f"another one in {kept[0]} cases, where two have failed in {kept[1]}; without the memory in "
+    text += " and ".join(lost)
     assert text in DOCUMENTS["docs/memory.md"]
 
 

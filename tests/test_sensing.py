@@ -42,6 +42,7 @@ def test_each_level_is_worse_than_the_one_before() -> None:
         values = [getattr(level, part.name) for level in LEVELS.values()]
         assert values == sorted(values), part.name
         assert values[0] == 0
+    assert [level.steps_late(10) for level in LEVELS.values()] == [0, 1, 2]
 
 
 @pytest.mark.parametrize(

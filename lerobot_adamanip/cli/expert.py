@@ -52,7 +52,7 @@ class ExpertCommand:
     """Rules of mechanisms: paper, upstream, hard (for pressure_cooker and coffee_maker), row or changing."""
 
     sensing: str = "exact"
-    """Errors of sensors and arm, as of `--env.sensing`. The expert sees no cloud, so the arm's errors alone matter."""
+    """Errors of sensors and arm, as of `--env.sensing`. The expert sees none of them: its episodes do not change."""
 
     repeats: int = 1
     """Episodes in a row that play one scene. The expert forgets it after each episode."""

@@ -26,7 +26,7 @@ class KeyframesCommand:
     e.g. from `adamanip collect`. Their episodes follow those of the recordings unchanged.
 
     A simulated dataset needs `adamanip collect DIR --control dense --cloud --effort --state full`, and is converted
-    alone. Its rows name their key frames, so only --images and --repo-id apply.
+    alone. Its rows name their key frames, so only --no-images and --repo-id apply.
     """
 
     sources: DatasetFolders

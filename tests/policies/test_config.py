@@ -47,6 +47,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"inference": Inference(temperature=0.0)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"},
+        {"memory_episodes": 3, "preset": "dp3"},  # it remembers nothing
         *({**wrong, "preset": preset} for preset in ("dense", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip

@@ -289,10 +289,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 f"num_refinements >= 0, num_inference_steps <= {TRAIN_TIMESTEPS}",
                 f"--policy.preset={self.preset}, and none of these",
             )
-        if self.memory_episodes < 1:
-            raise self._error(
-                "Not a number of episodes.", ["memory_episodes"], "1 or more", "--policy.memory_episodes=3"
-            )
+        if self.memory_episodes < 1 or (self.memory_episodes > 1 and not self.n_action_history_steps):
+            allowed = "1 or more; 1 without a history of actions"
+            raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
         if self.memory_kind is not None:
             require_choice("kind of memory", self.memory_kind, MEMORY_KINDS, hint="--policy.memory_kind=events")
         if not self.inference.temperature > 0.0:
