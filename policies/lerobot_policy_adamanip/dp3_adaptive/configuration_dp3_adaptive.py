@@ -201,7 +201,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     coarse_points: int = from_preset()
     # Training only: size of a random subset of coarse_points (keyframe 320, dense 320).
     training_points: int = from_preset()
-    # Refinement steps of the pose that a hand approaches which holds nothing; 0 for none (keyframe 3).
+    # Refinement steps of the pose that an open hand approaches; 0 for none (keyframe 3).
     num_refinements: int = from_preset()
     # Number of nearest points used by a refinement step (keyframe 128).
     refinement_points: int = from_preset()

@@ -7,7 +7,7 @@ the two directions of a knob apart, and take the memory.
 
 A network that encodes a whole cloud locates a handle only to centimetres. In the frame of a proposed pose, the points
 around it look the same wherever the object stands, and each demonstrated goal gives any number of training poses. So a
-`Refiner` corrects the pose of an approach, of a hand that holds nothing, from the points near it.
+`Refiner` corrects the pose of an approach from the points near it.
 """
 
 from __future__ import annotations
@@ -291,12 +291,11 @@ class TypicalMotions(nn.Module):
         return difference.square().sum(dim=-1).argmin(dim=-1)
 
     def needs_refinement(self, index: Tensor) -> Tensor:
-        """Returns whether anchors (...) are approaches, of a hand that is open or holds nothing, whose end points vary.
+        """Returns whether anchors (...) are approaches of an open hand whose end points vary.
 
-        A hand that holds a part is guided by it, and a hand that releases stays where it is.
+        A closed hand is guided by the part that it holds, and a hand that releases stays where it is.
         """
-        is_free = (self.anchors[:, -1] > CLOSED_HAND) | ~self.starts[:, 1]
-        approaches = is_free & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
+        approaches = (self.anchors[:, -1] > CLOSED_HAND) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
         return varying[index]
 

@@ -250,10 +250,7 @@ def test_approaches_with_a_varying_end_are_refined(make_anchors: MakeTiny) -> No
     motions.anchors[:, 0], motions.anchors[:, 6], motions.spread[:] = 0.05, 1.0, torch.tensor(MIN_SPREAD)
     motions.spread[::2, 2] = 0.03
     assert motions.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3
-    motions.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a hand that closes,
-    motions.starts[0, 1] = False
-    assert motions.needs_refinement(torch.arange(6)).tolist() == [True, False] * 3  # and holds nothing, as at a button
-    motions.starts[0, 1] = True  # or a part, which guides it
+    motions.anchors[:4, 6] = torch.tensor([0.0, 1.0, 1.0, 1.0])  # a closed hand
     motions.anchors[2, :3] = 0.0  # and one that stays
     assert motions.needs_refinement(torch.arange(6)).tolist() == [False] * 4 + [True, False]
     index = torch.tensor([[4, 0], [1, 4]])
