@@ -11,16 +11,16 @@ import pytest
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
-from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
+from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {name: (ROOT / name).read_text(encoding="utf-8") for name in ("README.md", "docs/memory.md")}
 REPORTS: dict[str, BenchmarkReport] = {each.scale: each for each in make_results.benchmark_reports(ROOT / "results")}
 
 
-def metrics(method: str, *categories: str, scale: str = "test") -> Metrics:
-    entries = REPORTS[scale].entries
-    return pool(entries[method, category, "seen"].metrics for category in categories or CATEGORIES)
+def metrics(method: str, *categories: str, objects: str = "seen") -> Metrics:
+    entries = REPORTS["test"].entries
+    return pool(entries[method, category, objects].metrics for category in categories or CATEGORIES)
 
 
 def counts(of: Metrics) -> str:
@@ -35,12 +35,12 @@ def something_new(method: str, failures: int) -> str:
     return f"{rate.count:,} of {rate.episodes:,}"
 
 
-def gain(min_outcome: str) -> PairedDifference:
-    """Returns what the memory adds in the main table, same weights."""
+def gain(min_outcome: str, objects: str = "seen") -> str:
+    """Returns what the memory adds in the main table, same weights: points [interval]."""
     report = REPORTS["test"]
-    difference = report.paired(("dp3_adaptive", "without_memory"), report.categories, "seen", min_outcome)
-    assert difference is not None
-    return difference
+    gap = report.paired(("dp3_adaptive", "without_memory"), report.categories, objects, min_outcome)
+    assert gap is not None
+    return "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * value for value in (gap.difference, gap.low, gap.high)))
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -57,15 +57,15 @@ def test_other_counts_are_those_of_a_cell() -> None:
 
 
 def test_the_memorys_gain_is_that_of_the_paired_scenes() -> None:
-    within, opened = gain(WITHIN_TRIES), gain(OPENED)
-    interval = f"[{100 * within.low:.0f}, {100 * within.high:.0f}]"
-    text = f"{100 * within.difference:.0f} points more within the tries {interval}"
-    assert text in DOCUMENTS["README.md"]
-    shown = [
-        "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * x for x in (d.difference, d.low, d.high))) for d in (within, opened)
-    ]
-    within_text = shown[0].replace(" [", " points [")
-    assert f"Within the tries that is {within_text} over the nine, in success {shown[1]}" in DOCUMENTS["docs/memory.md"]
+    within = gain(WITHIN_TRIES)
+    assert f"{within.replace('+', '').replace(' ', ' points more within the tries ', 1)}" in DOCUMENTS["README.md"]
+    text = f"is {within.replace(' ', ' points ', 1)} over the nine, in success {gain(OPENED)}"
+    assert text in DOCUMENTS["docs/memory.md"]
+    others = "; ".join(
+        f"of {objects} objects {gain(WITHIN_TRIES, objects)} and {gain(OPENED, objects)}"
+        for objects in ("unseen", "novel")
+    )
+    assert others in DOCUMENTS["docs/memory.md"]
 
 
 def test_repeats_and_what_follows_a_failure_are_counted() -> None:
@@ -87,3 +87,16 @@ def test_the_categories_that_fall_short_are_named() -> None:
     names = {name: metrics("dp3_adaptive", name).within_best_tries for name in CATEGORIES}
     low = [f"{name}s ({rate.count})" for name, rate in names.items() if rate and (rate.rate or 0) < 0.9]
     assert f"Below 90 % within the tries are {', '.join(low[:-1])} and {low[-1]}." in DOCUMENTS["README.md"]
+
+
+def test_the_novel_objects_that_open_least_are_named() -> None:
+    novel = {name: metrics("dp3_adaptive", name, objects="novel") for name in CATEGORIES}
+    least = sorted((of.success.count, name) for name, of in novel.items() if of.success)[:3]
+    named = [f"{name}s ({count})" for count, name in least]
+    assert f"Novel {named[0]}, {named[1]} and {named[2]} open least." in DOCUMENTS["README.md"]
+    rates = [novel[name].within_best_tries for _, name in least]
+    within = [rate.count for rate in rates if rate]
+    opened = ", ".join(
+        f"{name}s open {count}" if number == 0 else f"{name}s {count}" for number, (count, name) in enumerate(least)
+    )
+    assert f"{opened}, within the tries {within[0]}, {within[1]} and {within[2]}." in DOCUMENTS["docs/memory.md"]
