@@ -126,8 +126,9 @@ def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEnt
     table = '\n[methods.mine]\ntitle = "mine"\npolicy = "act"\ncheckpoint = "me/mine"\ndemonstrations = "mistakes"\n'
     table += f"scales = {list(SCALES)}\n"
     assert "learns_from does not say" in lacking(enter("silent", 30, "mine", table))
-    folder = enter("told", 30, "mine", f'{table}learns_from = "episodes of a privileged teacher"\n')
-    assert read_entry(folder).learns_from == "episodes of a privileged teacher"
+    source = "demonstrations of an expert that knows the hidden state"
+    folder = enter("described", 30, "mine", f'{table}learns_from = "{source}"\n')
+    assert read_entry(folder).learns_from == source
     cell = next((folder / "row").glob("*.json"))
     edit(cell, lambda one: dataclasses.replace(one, run=dataclasses.replace(one.run, method="expert")))  # type: ignore[type-var]
     assert "results of expert, mine, not of one declared method" in lacking(folder)
