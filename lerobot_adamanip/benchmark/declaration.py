@@ -156,7 +156,7 @@ class Scale:
     """Size of a benchmark run.
 
     Attributes:
-        categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings.
+        categories, splits, seeds: the cells; ``splits`` of objects, ``seeds`` of trainings with their demonstrations.
         objects: objects of the demonstrations and of the split ``seen``.
         objects_at: category -> objects, where they differ.
         reports: whether the splits ``unseen`` and ``novel`` are the objects that are kept for reported numbers.

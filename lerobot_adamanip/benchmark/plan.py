@@ -63,7 +63,7 @@ class Cell:
         method: name of the method.
         category: category of the objects.
         objects: split of the evaluated objects.
-        seed: training seed.
+        seed: seed of the training and of its demonstrations.
     """
 
     method: str
@@ -294,12 +294,14 @@ def _recording(
     how: tuple[str, ...],
     needs: tuple[Step, ...] = (),
 ) -> Step:
+    """Returns a recording; each training seed has its own scenes, and the first one those of `adamanip collect`."""
     command = (
         "adamanip",
         "collect",
         f"--category={cell.category}",
         f"--objects={scale.objects_of(cell.category)}",
         f"--episodes-per-object={per_object}",
+        *((f"--seed={cell.seed}",) if cell.seed != scale.seeds[0] else ()),
         *how,
         f"--num-points={data.num_points}",
         f"--image-size={data.image_size}" if data.image_size else "--no-images",

@@ -240,11 +240,11 @@ def test_a_method_that_is_declared_no_more_keeps_its_row(cells: Path) -> None:
 
 
 def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
-    # Demonstrations: two sets of two categories. Trainings: two methods of two categories and seeds. Tests: two splits
+    # Demonstrations: two sets of two categories and seeds. Trainings: two methods of them. Tests: two splits
     # of the two trained methods, and of the untrained one with its one seed.
     page = benchmark_page(report_of(cells))
     counts = dict(re.findall(r"(\w+) [\d.]+ \w+ \((\d+) times\)", page))
-    assert counts == {"collecting": "4", "training": "8", "evaluating": "20"}
+    assert counts == {"collecting": "8", "training": "8", "evaluating": "20"}
     assert "on 2 cores, no GPU\n" in page
     assert machine_text({"cores": 1, "gpu": True}) == "1 core, a GPU"
 
