@@ -18,6 +18,13 @@ def test_every_error_is_of_the_project_s_family_and_of_a_kind_of_python_s(kind: 
     assert kind is AdaManipError or issubclass(kind, ValueError if kind is ConfigurationError else RuntimeError)
 
 
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.__name__)
+def test_an_error_of_an_error_says_the_same(kind: type[AdaManipError]) -> None:
+    """As Gymnasium raises the error of a worker process."""
+    first = kind("It broke.", got=3, allowed="1 or 2", hint="two")
+    assert str(kind(first)) == str(first)  # type: ignore[arg-type,unused-ignore]
+
+
 def test_an_explanation_carries_its_four_facts_in_order() -> None:
     first, got, allowed, advice = str(AdaManipError("It broke.", got=3, allowed="1 or 2", hint="two")).splitlines()
     assert first == "It broke."

@@ -56,7 +56,7 @@ class AdaManipEnvConfig(EnvConfig):
     disable_env_checker: bool = True
     # Control: keyframe (a step is one key frame), or dense (a step is 1/fps seconds), for any policy of LeRobot.
     control: str = KEYFRAME
-    # Steps per second of dense control: 5, 10 (default) or 25. For key frames: frames per second of a video.
+    # Steps per second of dense control: 5, 10 (default) or 25. Without effect on key frames.
     fps: int | None = None
     # Dense action: ee_delta (7 numbers in -1 ... 1, a motion from the measured tool pose), ee_pose (10), or joint (8).
     action: str = EE_DELTA
@@ -144,7 +144,7 @@ class AdaManipEnvConfig(EnvConfig):
             chosen = self._shared_options
             names = camera_names(chosen.observed_cameras, self.camera_names)
         self.task = self.task or self.category
-        self.fps = chosen.fps if chosen.is_dense else self.fps or FPS
+        self.fps = chosen.fps if chosen.is_dense else FPS
         self.episode_length, size = chosen.step_limit, self.image_size
         dims = {"action": ACTION_DIM, "state": STATE_DIM}
         if chosen.is_dense:
@@ -160,7 +160,8 @@ class AdaManipEnvConfig(EnvConfig):
         if chosen.memory == EVENTS:
             table["environment_state"] = (FeatureType.ENV, (len(MEMORY_NAMES),), MEMORY)
         for name in names.values() if self.observe_images is not False else ():
-            table[f"pixels/{name}"] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
+            # LeRobot's recordings take these keys for columns, whose names have no "/".
+            table[image_column(name)] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 

@@ -35,7 +35,7 @@ class DenseEnv(KeyframeEnv):
     CONTROL = DENSE
 
     def __init__(self, category: str | None = None, **values: Any) -> None:
-        super().__init__(category, **{**values, "control": DENSE})
+        super().__init__(category, **({} if "options" in values else {"control": DENSE}) | values)
         self._ticks = TICKS_PER_SECOND // self.options.fps
 
     def motion(self, action: NDArray[np.float32]) -> Generator[None]:

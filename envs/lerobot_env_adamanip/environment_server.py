@@ -16,7 +16,7 @@ from lerobot_adamanip.episode.options import EnvironmentOptions, require_known
 from lerobot_adamanip.evaluation.record import new_run_id
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud
+from lerobot_env_adamanip.vector import FailMalformedActions, FlatCloud, check_repeats
 
 PREVIEW = "preview"
 """Camera whose images are for people only: ray-cast without a Vulkan device, and unknown to policies."""
@@ -35,13 +35,19 @@ class ServedEnv(FlatCloud):
     def __init__(self, options: EnvironmentOptions) -> None:
         env = KeyframeEnv(options=options)
         super().__init__(FailMalformedActions(env))
-        # The server reads these attributes of the outermost object.
-        self.task = env.task
         self._max_episode_steps = env.max_key_frames
         size, seen = options.image_size, self.observation_space
         assert isinstance(seen, gym.spaces.Dict)
         pixels = gym.spaces.Dict({PREVIEW: gym.spaces.Box(0, 255, (size, size, 3), np.uint8)})
         self.observation_space = gym.spaces.Dict({"pixels": pixels, **seen})
+
+    # The server reads `_max_episode_steps` and these attributes of the outermost object.
+
+    @property
+    def task(self) -> str:
+        """The instruction of the episode."""
+        task: str = self.env.get_wrapper_attr("task")
+        return task
 
     @property
     def task_description(self) -> str:
@@ -80,6 +86,8 @@ def create_adamanip_envs(
     names = list(CATEGORIES) if task == ALL else [name.strip() for name in task.split(",")]
     common = {"run_id": new_run_id() if options.get("episode_log") else None, **options}
     chosen = [EnvironmentOptions(**{"category": name, **common}) for name in names]
+    for one in chosen:
+        check_repeats(one, n_envs)
     if len(names) > 1:
         chosen = [one.changed(seed_offset=category_offset(one.category)) for one in chosen]
     return {one.category: {0: env_cls([functools.partial(ServedEnv, one)] * n_envs)} for one in chosen}

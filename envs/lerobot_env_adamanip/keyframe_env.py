@@ -54,7 +54,7 @@ _logger = logging.getLogger(__name__)
 class EpisodeLog:
     """Log of one environment, which numbers the evaluations of a run.
 
-    ``lerobot-train`` evaluates the same scenes repeatedly; a repeated episode marks the next evaluation.
+    A repeated episode marks the next evaluation.
 
     Args:
         path: log file; other environments may append to it too.
@@ -183,8 +183,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     Observation: ``point_cloud`` (N, 3) [m], ``agent_pos`` (24,), ``effort`` (7,) [N m], and ``pixels``, camera
         -> (H, W, 3), if images are observed, see ``observe_images``. All bounds are finite. With the memory ``events``
         also ``environment_state`` (96,), see `contract.memory`; with ``text``, ``task_description`` ends with it.
-    Info, of reset and of each step: ``is_success`` (bool), and ``limit`` (str), the reason of a truncation or an empty
-        text. It holds no hidden state.
+    Info, of reset and of each step: ``is_success`` (bool), ``limit`` (str), the reason of a truncation or an empty
+        text, and ``goal_clipped`` (bool), whether the arm was sent nearer than commanded. It holds no hidden state.
     Reward: 1 at the key frame that succeeds. The episode ends there, after ``max_key_frames``, or with one failed try
         more than ``max_failed_tries``. Later steps return observations without reward and do not change its record.
 
@@ -374,7 +374,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         errors, images = task.errors, {name: task.cameras.image(name) for name in spaces.get("pixels", {})}
         if errors is not None:
             images = errors.delayed("pixels", images)
-        self._image = images.get(FRONT)
+        self._image = images[FRONT].copy() if FRONT in images else None
         arm, feedback = task.simulation.arm_state(), task.driver.feedback
         observation: Observation = {}
         if len(spaces["agent_pos"].low) == STATE_DIM:
@@ -395,7 +395,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {**observation, "pixels": images} if images else observation
 
     def render(self) -> NDArray[np.uint8]:
-        """Returns the front camera's present image (H, W, 3); black before the first episode.
+        """Returns the latest image of the front camera (H, W, 3), late with a sensor's delay; black before an episode.
 
         It is drawn by ray casting if that is the source of images, or, with a warning, without a Vulkan device.
         """

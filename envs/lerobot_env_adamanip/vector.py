@@ -24,9 +24,8 @@ from gymnasium.vector.utils import batch_space
 from lerobot_adamanip.episode.options import MALFORMED_ACTION, EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_adamanip.util.jobs import thread_limits
-from lerobot_env_adamanip.dense_env import DenseEnv
 from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
-from lerobot_env_adamanip.keyframe_env import KeyframeEnv
+from lerobot_env_adamanip.make_environment import make_environment
 
 _log = logging.getLogger(__name__)
 
@@ -104,12 +103,17 @@ class SyncSimulators(gym.vector.SyncVectorEnv):
         """Resets like `gymnasium.vector.VectorEnv.reset`, whether or not seeds are given."""
         return super().reset(seed=seed, options=_new_rollout(options))
 
+    def close(self, **kwargs: Any) -> None:
+        """Ends the simulators; the next reset starts new ones."""
+        self.close_extras(**kwargs)
+
 
 class AsyncSimulators(gym.vector.AsyncVectorEnv):
     """Gymnasium's processes, started at first use and ended by `close` in any state; can be used again afterwards.
 
-    A suite therefore runs the processes of one category at a time. If a process dies, hangs or raises an error, all are
-    ended. LeRobot's lazy environments neither limit the time of an answer nor can they be closed after a death.
+    A suite therefore runs the processes of one category at a time. A log counts episodes before and after a `close` as
+    one evaluation. If a process dies, hangs or raises an error, all are ended. LeRobot's lazy environments neither
+    limit the time of an answer nor can they be closed after a death.
 
     Args:
         makers: one function per environment, picklable by cloudpickle.
@@ -154,7 +158,8 @@ class AsyncSimulators(gym.vector.AsyncVectorEnv):
 
     def close(self, **kwargs: Any) -> None:
         """Ends the processes within `CLOSE_TIMEOUT_S`, also after an error; the next call starts new ones."""
-        self._stop(at_once=False)
+        if self.processes or self.parent_pipes:  # Gymnasium closes again when Python ends, without its modules
+            self._stop(at_once=False)
 
     def _stop(self, *, at_once: bool) -> None:
         """Ends the processes, whatever state they are in. With ``at_once`` they are killed."""
@@ -255,13 +260,7 @@ def make_vector_env(
         raise ConfigurationError(
             "Wrong number of environments.", got=n_envs, allowed=">= 1", hint="--eval.batch_size=2"
         )
-    if n_envs > 1 and options.repeats > 1:
-        raise ConfigurationError(
-            "Repeats of a scene play one after the other, in one environment.",
-            got=f"repeats={options.repeats} in {n_envs} environments",
-            allowed="one environment",
-            hint="--eval.batch_size=1",
-        )
+    check_repeats(options, n_envs)
     _log.info(
         "%s: %s scenes, %s objects%s.",
         *(options.category, options.split, options.objects),
@@ -272,12 +271,23 @@ def make_vector_env(
     return AsyncSimulators(makers) if use_async_envs and n_envs > 1 else SyncSimulators(makers)
 
 
+def check_repeats(options: EnvironmentOptions, n_envs: int) -> None:
+    """Raises `ConfigurationError` if several environments are to repeat a scene: their seeds are not in a row."""
+    if n_envs > 1 and options.repeats > 1:
+        raise ConfigurationError(
+            "Repeats of a scene play one after the other, in one environment.",
+            got=f"repeats={options.repeats} in {n_envs} environments",
+            allowed="one environment",
+            hint="--eval.batch_size=1",
+        )
+
+
 def _new_rollout(options: dict[str, Any] | None) -> dict[str, Any]:
     return {**(options or {}), NEW_ROLLOUT: True}
 
 
 def _make(options: EnvironmentOptions, names: Mapping[str, str]) -> gym.Env[Any, Any]:
-    env: gym.Env[Any, Any] = DenseEnv(options=options) if options.is_dense else KeyframeEnv(options=options)
+    env: Any = make_environment(options)
     env = FailMalformedActions(env)
     env = FlatCloud(env) if options.observes_cloud else env
     renamed = options.observe_images and any(name != camera for camera, name in names.items())

@@ -13,7 +13,7 @@ from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_
 from lerobot_adamanip.contract.memory import NO_MEMORY, check_memory
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
-from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS
+from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS, BalancedDraws
 from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
@@ -134,12 +134,16 @@ class EnvironmentOptions:
             object.__setattr__(self, name, None if value is None else str(value))
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.
-        from lerobot_adamanip.catalog import select_objects
-        from lerobot_adamanip.mechanisms import require_rules
+        from lerobot_adamanip.catalog import get_object, select_objects
+        from lerobot_adamanip.mechanisms import make_mechanism, require_rules
 
-        select_objects(self.category, self.objects, self.assets)
+        first = select_objects(self.category, self.objects, self.assets)[0]
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_rules(self.category, self.mechanism_rules)
+        # Ranges depend on the object, so a reset checks them.
+        if chosen := {name: value for name, value in self.hidden_overrides.items() if not isinstance(value, float)}:
+            mechanism = make_mechanism(get_object(first, self.assets), self.mechanism_rules)
+            mechanism.draw(BalancedDraws(0, self.category), chosen)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         object.__setattr__(self, "sensing", "".join(self.sensing.lower().split()))

@@ -38,19 +38,14 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 def changing(hand: Hand, known: Knowledge) -> KeyFrames:
     """Opens a microwave that is always locked and may lock again: pushes, pulls, and pushes after a failed pull."""
-    yield from _push_first(hand, known.parts)
+    button, handle = known.parts["button"], known.parts["handle"]
+    shut = not hand.is_ajar(handle, "door")
+    yield from open_by_trial(hand, handle, lambda: push_button(hand, button), unlock_first=shut)
 
 
 def changing_with_sight(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
     """Opens it as `changing` does: sight of the hidden state saves no try."""
-    yield from _push_first(hand, parts)
-
-
-def _push_first(hand: Hand, parts: Parts) -> KeyFrames:
-    def push() -> Frames:
-        yield from push_button(hand, parts["button"])
-
-    yield from open_by_trial(hand, parts["handle"], push, unlock_first=not hand.is_ajar(parts["handle"], "door"))
+    yield from changing(hand, Knowledge(parts))
 
 
 def push_button(hand: Hand, button: PartAnnotation) -> Frames:

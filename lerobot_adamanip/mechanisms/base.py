@@ -73,19 +73,21 @@ class Mechanism[StateT](ABC):
 
 
 def overridden[ValueT: (bool, int, float)](
-    drawn: ValueT, overrides: Overrides, name: str, choices: Collection[int] = ()
+    drawn: ValueT, overrides: Overrides, name: str, choices: Collection[int] = (), most: float = math.inf
 ) -> ValueT:
     """Returns the override of ``name`` in the type of ``drawn``; without one, ``drawn``.
 
     Raises:
-        ConfigurationError: the value is not in ``choices``; or there are no choices and it is not positive.
+        ConfigurationError: the value is not in ``choices``; or there are none and it is not positive and finite, or is
+            above ``most``.
     """
     if name not in overrides:
         return drawn
     value = overrides[name]
     positive = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
-    if not (value in choices if choices else positive):
-        allowed = " or ".join(map(str, choices)) or "a number above 0"
+    possible = value in choices if choices else positive and value <= most
+    if not possible:
+        allowed = " or ".join(map(str, choices)) or f"a number above 0 and up to {most:g}"
         raise ConfigurationError(f"Impossible {name}.", got=repr(value), allowed=allowed, hint="leave it out")
     return type(drawn)(value)
 
@@ -103,9 +105,9 @@ def draw_direction(generator: Draws, p_positive: float, overrides: Overrides) ->
 def draw_range(
     generator: Draws, nominal: float, fractions: tuple[float, float], overrides: Overrides, name: str
 ) -> float:
-    """Draws the range of a part [rad], uniform between two fractions of ``nominal``; override ``name``."""
+    """Draws the range of a part [rad], uniform between two fractions of ``nominal``, its most; override ``name``."""
     low, high = fractions
-    return overridden(float(nominal * (low + (high - low) * generator.random())), overrides, name)
+    return overridden(float(nominal * (low + (high - low) * generator.random())), overrides, name, most=nominal)
 
 
 def turn_limits(direction: int, turn_range: float) -> Limits:

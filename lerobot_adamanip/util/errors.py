@@ -17,16 +17,17 @@ class AdaManipError(Exception):
     """Base of the errors that this project raises on purpose.
 
     Args:
-        what: problem in one sentence; without the other arguments it is the whole message.
+        what: problem in one sentence; without the other arguments it is the whole message. An error is given here by
+            Gymnasium, which makes another one of the same type from that of a worker.
         got: given value.
         allowed: allowed values.
         hint: command or keyword to try.
     """
 
-    def __init__(self, what: str, *, got: object = None, allowed: object = None, hint: object = None) -> None:
+    def __init__(self, what: object, *, got: object = None, allowed: object = None, hint: object = None) -> None:
         facts = (("got", got), ("allowed", allowed), ("try", hint))
         lines = [f"  {name + ':':<8} {value}" for name, value in facts] if allowed is not None else []
-        super().__init__("\n".join([what, *lines]))
+        super().__init__("\n".join([str(what), *lines]))
 
 
 class ConfigurationError(AdaManipError, ValueError):

@@ -115,6 +115,8 @@ def test_the_environment_is_registered_with_gymnasium() -> None:
 def test_an_environment_refuses_the_other_control() -> None:
     with pytest.raises(ConfigurationError, match=r"(?s)KeyframeEnv with control='dense'.*try:.*DenseEnv"):
         KeyframeEnv("safe", control="dense")
+    with pytest.raises(ConfigurationError, match=r"(?s)DenseEnv with control='keyframe'.*try:.*KeyframeEnv"):
+        DenseEnv("safe", control="keyframe")
     assert DenseEnv("safe", observe_images=False).options.is_dense
 
 

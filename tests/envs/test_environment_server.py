@@ -30,12 +30,13 @@ PAGE = "docs/upstream/environment_server.md"
 def test_a_world_is_served_where_nothing_renders(tmp_path: Path) -> None:
     """One episode of two key frames, as the smoke test of the server's continuous integration runs it."""
     log = tmp_path / "served.jsonl"
-    sizes = {"num_points": 64, "image_size": 48, "max_key_frames": 2, "split": "validation"}
+    sizes = {"num_points": 64, "image_size": 48, "max_key_frames": 2, "split": "validation", "hints": 1.0}
     (function,) = create_adamanip_envs("safe", 1, list, episode_log=str(log), **sizes)["safe"][0]
     env = function()
     assert env.task == env.task_description == CATEGORIES["safe"].instruction
     assert env._max_episode_steps == 2
     observation, _ = env.reset(seed=5)
+    assert env.task == env.task_description != CATEGORIES["safe"].instruction, "with the hint"
     assert env.observation_space.contains(observation)
     assert observation["point_cloud"].shape == (192,)
     assert len(np.unique(observation["pixels"]["preview"])) > 20, "a shaded picture, not a black one"
@@ -69,8 +70,12 @@ def test_worlds_of_one_server_are_one_evaluation(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"task": "teapot"}, {"task": ""}, {"points": 3}, {"split": "holdout"}, {"control": "dense"}]
-)
+    "wrong",
+    [
+        {"task": "teapot"}, {"task": ""}, {"points": 3}, {"split": "holdout"}, {"control": "dense"},
+        {"repeats": 3, "n_envs": 2},
+    ],
+)  # fmt: skip
 def test_what_there_is_not_is_refused_before_a_world_is_made(refuses: Any, wrong: dict[str, Any]) -> None:
     refuses(ConfigurationError, lambda: create_adamanip_envs(**{"task": "safe", "n_envs": 1, "env_cls": list, **wrong}))
 

@@ -42,7 +42,7 @@ def evaluate(
     monkeypatch.setattr(sys, "argv", ["lerobot-eval", f"--policy.path={path}", *more])
     config = make_env_config(env_type, **{"observe_images": False, **options})
     if not config.observe_images:
-        config.features.pop("pixels/front", None)
+        config.features.pop(schema.FRONT_IMAGE, None)
     categories = config.chosen() if env_type == "adamanip" else [config.category]
     require_fitting_policy(config, categories)
 

@@ -24,7 +24,7 @@ from lerobot_env_adamanip.sim.render_device import (
     vulkan_drivers,
 )
 
-FRONT = "pixels/front"
+FRONT = "observation.images.front"
 
 
 @pytest.fixture(autouse=True)

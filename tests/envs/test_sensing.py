@@ -134,6 +134,11 @@ def test_clouds_and_images_come_late_in_dense_control() -> None:
         for step in (0, 1):
             np.testing.assert_array_equal(seen[late][step + 1]["point_cloud"], seen[now][step]["point_cloud"])
             np.testing.assert_array_equal(seen[late][step + 1]["pixels"]["front"], seen[now][step]["pixels"]["front"])
+        kept = late.observe()
+        for value in (kept["point_cloud"], kept["pixels"]["front"]):
+            value[:] = 0  # by a caller, whose they are
+        assert late.observe()["point_cloud"].any()
+        assert late.render().any()
         moved = late.observe()["pixels"]["front"]
         late.restart_episode()  # for a late start: nothing was seen before
         first = late.observe()["pixels"]["front"]

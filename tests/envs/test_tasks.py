@@ -124,7 +124,9 @@ def test_maniskills_state_is_the_arm_alone() -> None:
         made.close()
 
 
-@pytest.mark.parametrize("wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}])
+@pytest.mark.parametrize(
+    "wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}, {"split": "test"}]
+)
 def test_what_cannot_work_is_refused(env: Any, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:"):
         gym.make(SAFE, **wrong)

@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
 from multiprocessing import forkserver
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -16,7 +19,7 @@ from counter_env import Counter, makers
 from lerobot.envs.utils import NEW_ROLLOUT_OPTION
 
 from lerobot_adamanip.episode.options import MALFORMED_ACTION
-from lerobot_adamanip.util.errors import SimulatorError
+from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
 from lerobot_env_adamanip import vector
 from lerobot_env_adamanip.gym_interface import NEW_ROLLOUT
 from lerobot_env_adamanip.vector import AsyncSimulators, SyncSimulators
@@ -149,7 +152,37 @@ def test_an_error_of_an_environment_is_raised_and_leaves_no_process(processes: A
     with pytest.raises(AttributeError):
         processes.call("no_such_method")
     assert processes.processes == []
+    with pytest.raises(ConfigurationError, match=r"(?s)Impossible direction.*allowed: -1 or 1"):
+        processes.call("refuse")
     assert processes.reset(seed=0)[0].tolist() == [[0.0], [0.0]]
+
+
+@pytest.mark.timeout(60)
+def test_python_ends_in_silence_after_a_close(tmp_path: Path) -> None:
+    lines = [
+        "from counter_env import makers",
+        "from lerobot_env_adamanip import vector",
+        "if __name__ == '__main__':",
+        "    vector.PRELOADED, envs = [], vector.AsyncSimulators(makers())",
+        "    envs.reset(seed=0)",
+        "    envs.close()",
+    ]
+    path = tmp_path / "script.py"
+    path.write_text("\n".join(lines))
+    folders = {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    done = subprocess.run(
+        [sys.executable, str(path)], env={**os.environ, **folders}, capture_output=True, text=True, check=True
+    )
+    assert "Exception ignored" not in done.stderr, done.stderr
+
+
+def test_environments_that_are_used_again_are_closed_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    envs, closed = SyncSimulators(makers()), []
+    monkeypatch.setattr(Counter, "close", lambda self: closed.append(0))
+    for _ in range(2):
+        envs.reset(seed=0)
+        envs.close()
+    assert len(closed) == 4
 
 
 @pytest.mark.timeout(60)

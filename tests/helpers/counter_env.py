@@ -13,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 from lerobot.envs.utils import freeze_after_episode_end
 
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.vector import FailMalformedActions
 
 
@@ -46,6 +47,9 @@ class Counter(gym.Env[Any, Any]):
 
     def limits(self) -> tuple[str | None, bool]:
         return os.environ.get("OMP_NUM_THREADS"), multiprocessing.current_process().daemon
+
+    def refuse(self) -> None:
+        raise ConfigurationError("Impossible direction.", got=5, allowed="-1 or 1", hint="leave it out")
 
     def die(self) -> None:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -213,7 +213,7 @@ def test_draws_are_reproducible_and_a_fixed_value_changes_no_other(rules: str, c
         state = mechanism.draw(generator(seed))
         assert mechanism.draw(generator(seed + 1), mechanism.hidden(state)) == state
         for name in mechanism.hidden_names:
-            value = {"turn_range": 0.9}.get(name, 1 if "direction" in name else True)
+            value = {"turn_range": 0.7}.get(name, 1 if "direction" in name else True)
             other = mechanism.draw(generator(seed), {name: value})
             assert mechanism.hidden(other) == mechanism.hidden(state) | {name: value}
     flags = [name for name in mechanism.hidden_names if name != "turn_range"]

@@ -98,6 +98,16 @@ def test_an_impossible_value_is_refused_with_what_is_allowed(mechanism: Mechanis
                 mechanism.draw(generator(), {name: value})
 
 
+@pytest.mark.parametrize("mechanism", [CAP, SAFE])
+def test_no_range_is_above_the_part_s_own(mechanism: Any) -> None:
+    """Where it ends a lock is released: beyond its limit a part could never get there."""
+    (name,) = (name for name in mechanism.hidden_names if name.endswith("range"))
+    most = mechanism._key_range if mechanism is CAP else mechanism._knob_range
+    assert mechanism.hidden(mechanism.draw(generator(), {name: most}))[name] == most
+    with pytest.raises(ConfigurationError, match="up to"):
+        mechanism.draw(generator(), {name: np.nextafter(most, 9)})
+
+
 @pytest.mark.parametrize("size", [0.0, -0.01, math.nan, math.inf])
 def test_what_cannot_move_is_refused(size: float) -> None:
     builds: tuple[Callable[[float, float], Mechanism[Any]], ...] = (

@@ -247,6 +247,7 @@ def test_key_frames_end_with_the_episode_and_so_does_the_command(
     monkeypatch.setattr(signal, "raise_signal", raised.append)
     log = tmp_path / "rolled.jsonl"
     robot = make(execution="keyframe", max_key_frames=3, end_when_done=True, episode_log=str(log))
+    assert robot.config.environment().max_key_frames == 3, "the log ends there too"
     for number in range(5):
         robot.send_action(action(robot, 0.01 * (number + 1)))
     assert sum(ask == "send" for ask, _ in process.asked) == 3

@@ -84,18 +84,10 @@ class ArmKinematics:
     inside the limits and pulls the redundant degree of freedom to a rest posture: equal poses get equal elbows.
     """
 
-    def __init__(
-        self,
-        articulation: sapien.physx.PhysxArticulation,
-        rest: Array = LEVEL_REST,
-        tcp_link: str = TOOL,
-    ) -> None:
+    def __init__(self, articulation: sapien.physx.PhysxArticulation, rest: Array = LEVEL_REST) -> None:
         self.rest = rest
         self._model: Any = articulation.create_pinocchio_model()
-        names = [
-            link.name.split("_", 1)[-1] if link.name.startswith("scene") else link.name for link in articulation.links
-        ]
-        self._tcp = next(i for i, name in enumerate(names) if name.endswith(tcp_link))
+        self._tcp = next(i for i, link in enumerate(articulation.links) if link.name.endswith(TOOL))
         limits = np.asarray(articulation.get_qlimits(), dtype=np.float64)[:NUM_ARM_JOINTS]
         self.lower, self.upper = limits[:, 0] + LIMIT_MARGIN, limits[:, 1] - LIMIT_MARGIN
         self._qpos = np.zeros(articulation.dof)  # the fingers stay at 0, as they do not move the tool

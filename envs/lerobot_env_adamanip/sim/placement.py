@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 
 LEAST_PLINTH, HIGHEST_PLINTH = 0.04, 0.7
 """Range of plinth heights for a generated object [m]."""
+DRAWS = 30
+"""Maximum number of sampled poses of a scene."""
 PATH_STEPS = 6
 """Number of poses checked on each leg of a path."""
 APPROACH_STEPS, APPROACHING = 8, Pull(steps=5)
@@ -138,17 +140,16 @@ class Stand:
         kinematics: ArmKinematics,
         spread: Randomization,
         *,
-        tries: int = 30,
         must_reach: bool = True,
     ) -> Placement:
         """Samples poses around this placement until the arm can hold and move every part.
 
-        If all ``tries`` samples fail, raises `UnreachableError` if ``must_reach``; otherwise returns the last sample.
+        If all `DRAWS` samples fail, raises `UnreachableError` if ``must_reach``; otherwise returns the last sample.
         Fixed poses have one sample.
         """
         is_fixed = spread == RANDOMIZATIONS["fixed"]
-        tries = 1 if is_fixed else tries
-        for _ in range(tries):
+        draws = 1 if is_fixed else DRAWS
+        for _ in range(draws):
             pose = _drawn_pose(rng, spread, self.x, self.y, self.floor_z)
             start = np.clip(kinematics.rest + rng.normal(size=7) * spread.joint, kinematics.lower, kinematics.upper)
             if (annotations := _reachable(obj, pose, kinematics, self.reaches, start)) is not None:
@@ -157,7 +158,7 @@ class Stand:
             return Placement(pose, start, {part.name: part.in_frame(pose) for part in obj.parts})
         error = UnreachableError(
             f"{obj.object_id} cannot be placed where the arm reaches its parts.",
-            got=f"{tries} draws around x = {self.x:.2f} m, floor at {self.floor_z:.2f} m",
+            got=f"{draws} draws around x = {self.x:.2f} m, floor at {self.floor_z:.2f} m",
             allowed="every part within reach, on the way to it, held and turned",
             hint="another object" if is_fixed else "--env.poses=fixed, or another object",
         )

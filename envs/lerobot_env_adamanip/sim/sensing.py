@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, TypeVar, cast
@@ -120,7 +121,7 @@ class SensorErrors:
         old = [moment for moment in past if moment <= now - self._delay]
         for moment in old[:-1]:
             del past[moment]
-        return cast(T, next(iter(past.values())))
+        return copy.deepcopy(cast(T, next(iter(past.values()))))  # which the caller may change
 
     def restart(self) -> None:
         """Forgets what the sensors saw: the present state becomes the first."""

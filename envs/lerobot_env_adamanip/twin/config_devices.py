@@ -86,7 +86,7 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     """Poses: randomized, or fixed as in upstream's code."""
 
     mechanism_rules: str = "paper"
-    """Rules of mechanisms: paper, upstream or hard."""
+    """Rules of mechanisms: paper, upstream, hard, row or changing."""
 
     sensing: str = EXACT
     """Errors of depth, of the cameras' poses and of joint torques: exact, d435, rough, or one of them with single parts
@@ -201,5 +201,6 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
             hidden_overrides=self.hidden,
             image_size=self.image_size or IMAGE_SIZE,
             render_backend=self.render_backend,
+            max_key_frames=self.max_key_frames,
             observe_images=False,
         )

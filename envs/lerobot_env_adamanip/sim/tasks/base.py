@@ -23,7 +23,7 @@ from lerobot_adamanip.contract.sensing import EXACT, Sensing, parse_sensing
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.mechanisms import make_mechanism
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND, ArmDriver
 from lerobot_env_adamanip.sim.cameras import Cameras
@@ -39,7 +39,12 @@ from lerobot_env_adamanip.sim.tasks.category_task import CategoryTask
 
 CPU_BACKENDS = ("auto", "cpu", "physx_cpu")
 """ManiSkill's names for CPU physics."""
-_OPTIONS = {item.name for item in fields(EnvironmentOptions)}
+READ_OPTIONS = (
+    "objects", "assets", "poses", "mechanism_rules", "hidden_overrides", "image_size", "render_backend", "num_points",
+    "workspace", "cloud_source", "sensing", "self_calibration",
+)  # fmt: skip
+"""Options that a task reads; splits of scenes, limits, memories and logs are those of `KeyframeEnv`."""
+_OTHER_OPTIONS = {item.name for item in fields(EnvironmentOptions)} - {*READ_OPTIONS, "category"}
 
 
 class AdaManipTask(BaseEnv):
@@ -58,7 +63,7 @@ class AdaManipTask(BaseEnv):
     Args:
         options: all options of this project at once ...
         shader: shader pack of the cameras.
-        kwargs: ... or some of `EnvironmentOptions` by name, and ManiSkill's own.
+        kwargs: ... or some of `READ_OPTIONS` by name, and ManiSkill's own.
     """
 
     SUPPORTED_ROBOTS: ClassVar[list[str]] = ["adamanip_panda"]
@@ -98,7 +103,9 @@ class AdaManipTask(BaseEnv):
                 allowed=f"sim_backend {', '.join(CPU_BACKENDS)}; num_envs 1",
                 hint="leave both out; for several: gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
             )
-        values = {name: kwargs.pop(name) for name in _OPTIONS & kwargs.keys()}
+        for name in _OTHER_OPTIONS & kwargs.keys():
+            require_choice("option of a ManiSkill task", name, READ_OPTIONS, hint="KeyframeEnv or DenseEnv")
+        values = {name: kwargs.pop(name) for name in READ_OPTIONS if name in kwargs}
         options = (options or EnvironmentOptions()).changed(category=self.category, **values)
         self.options = options.changed(cloud_source=resolve_cloud_source(options.cloud_source))
         self.randomization, self._shader = randomization(options.poses), shader
