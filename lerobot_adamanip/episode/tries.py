@@ -39,7 +39,7 @@ class Push:
     is_meant: bool = False
 
 
-@dataclass
+@dataclass(eq=False)
 class Try:
     """A try at one joint.
 

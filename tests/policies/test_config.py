@@ -48,6 +48,11 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"},
         {"memory_episodes": 3, "preset": "dp3"},  # it remembers nothing
+        {"memory_episodes": 3, "preset": "paper"}, {"memory_episodes": 3, "n_action_history_steps": 0},
+        *(
+            {"inference": Inference(**{rule: True}), "n_action_history_steps": 0}
+            for rule in ("rules", "no_repeat", "no_undo", "back_off")
+        ),
         *({**wrong, "preset": preset} for preset in ("dense", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip

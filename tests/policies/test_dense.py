@@ -245,3 +245,9 @@ def test_rules_of_key_frames_cannot_be_switched_at_control_rate(refuses: Any) ->
     assert not DP3AdaptiveConfig(preset="dense", device="cpu", inference=Inference(memory=False)).inference.memory
     for wrong in (Inference(no_repeat=True), Inference(rules=True)):
         refuses(AdaManipError, lambda wrong=wrong: DP3AdaptiveConfig(preset="dense", device="cpu", inference=wrong))
+
+
+def test_what_is_no_pose_is_not_mirrored_in_silence(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(DP3AdaptiveConfig, "has_pose_layout", False)
+    with pytest.raises(ConfigurationError, match=r"(?s)Only poses can be mirrored.*--action ee_pose --state full"):
+        make("dp3", augmentation_mirror=0.5)

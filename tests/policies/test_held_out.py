@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 import torch
-from lerobot.datasets.lerobot_dataset import LeRobotDataset
+from lerobot.datasets.lerobot_dataset import LeRobotDataset, LeRobotDatasetMetadata
 from toy_demos import REPO_ID, record_toy, toy_world
 
-from lerobot_policy_adamanip.common.inputs import balanced_weights, trained_episodes
+from lerobot_policy_adamanip.common.inputs import trained_episodes
 
 MakePolicy = Callable[..., tuple[Any, ...]]
 TRAINED = [0, 1, 2, 3]
@@ -45,14 +45,13 @@ def test_what_is_fitted_is_that_of_the_trained_episodes_alone(
     assert torch.isfinite(some.forward(batch_of(held_out, before))[0])
 
 
-def test_a_task_weighs_by_its_trained_rows(adaptive_toy_root: Path) -> None:
-    dataset = LeRobotDataset(REPO_ID, root=adaptive_toy_root, episodes=[0])
-    lengths = dataset.meta.episodes["length"]
-    dataset.meta.episodes = {"tasks": [["a"], ["a"], ["b"]], "length": lengths[:3]}
-    dataset.meta.get_task_index = "ab".index  # type: ignore[method-assign]
-    assert balanced_weights(dataset.meta).tolist() == [1.0, 0.0]
-
-
 def test_the_dataset_of_metadata_is_found_wherever_it_is_kept(adaptive_toy_root: Path) -> None:
     kept = {"trainer": [LeRobotDataset(REPO_ID, root=adaptive_toy_root, episodes=each) for each in (None, [2], [0, 4])]}
     assert [trained_episodes(dataset.meta) for dataset in kept["trainer"]] == [None, [2], [0, 4]]
+
+
+def test_metadata_of_no_dataset_say_that_nothing_is_held_out(
+    adaptive_toy_root: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    assert trained_episodes(LeRobotDatasetMetadata(REPO_ID, root=adaptive_toy_root)) is None
+    assert "all of its episodes count as trained on" in caplog.text

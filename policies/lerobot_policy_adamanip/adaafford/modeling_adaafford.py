@@ -1,5 +1,6 @@
 """``adaafford``: chooses contacts and motions from the results of its own interactions. See the package."""
 
+import copy
 from typing import Any
 
 import torch
@@ -199,7 +200,9 @@ class AdaAffordPolicy(AffordancePolicy):
         """Returns the plans (B, T, 10) for this observation, padded with their last key frame. See `ChunkGuard`."""
         cloud, pose = self.observed(batch)
         self._chunks.predict({POINT_CLOUD: cloud, STATE: pose})
-        memories = self._memories or self._new_memories(len(cloud))
+        memories = copy.deepcopy(self._memories) or self._new_memories(len(cloud))
+        for memory, present in zip(memories, pose, strict=True):
+            memory.observe(present)
         return plans.stacked([self._plan(cloud[row : row + 1], pose[row], memories[row]) for row in range(len(cloud))])
 
     def _new_memories(self, count: int) -> list[InteractionMemory]:

@@ -1,6 +1,6 @@
 """Dataset columns that labels are computed from, and the contacts of episodes.
 
-A training batch lacks ``complementary_info.*`` and ``next.*``, which hold a row's try and its result. Labels are
+A training batch lacks ``complementary_info.*`` and ``next.success``, which hold a row's try and its result. Labels are
 computed from the files when a policy is created, and looked up by ``index``. They do not exist at run time.
 """
 

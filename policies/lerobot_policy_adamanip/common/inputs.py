@@ -2,14 +2,14 @@
 
 LeRobot's readers return observations, actions and a row's ``index``. ``resolve_delta_timestamps`` makes windows of
 ``action``, ``next.reward`` and all of ``observation.*``. It cannot make windows of executed actions, or of states
-without clouds. Its batches lack ``next.*`` and ``complementary_info.*`` after preprocessing. So policies read only the
-present row from LeRobot, and look up the rest.
+without clouds. Its batches lack ``next.success`` and ``complementary_info.*`` after preprocessing. So policies read
+only the present row from LeRobot, and look up the rest.
 """
 
 from __future__ import annotations
 
 import gc
-from collections import Counter
+import logging
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +26,8 @@ from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common import strokes
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
-INDEX, EPISODE = "index", "episode_index"
+_logger = logging.getLogger(__name__)
+INDEX, EPISODE, TASK = "index", "episode_index", "task_index"
 IS_LABEL = "is_label"
 """Column of `read_recorded_rows`: whether a row's action is a training label."""
 IS_TRAINED = "is_trained"
@@ -89,6 +90,10 @@ def trained_episodes(dataset_meta: Any) -> list[int] | None:
         ):
             episodes: list[int] | None = owner.episodes
             return episodes
+    _logger.warning(
+        "No dataset in this process has these metadata, so all of its episodes count as trained on. If some are held "
+        "out, create the policy with the metadata of the dataset itself, `dataset.meta`."
+    )
     return None
 
 
@@ -229,16 +234,16 @@ def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
     return np.cumsum(np.concatenate(parts), dtype=np.int64)
 
 
-def balanced_weights(dataset_meta: Any) -> Tensor:
-    """Returns weights by task index, inverse to the tasks' numbers of trained rows; their mean over rows is 1."""
-    trained, rows = trained_episodes(dataset_meta), Counter[int]()
-    for episode, (tasks, length) in enumerate(
-        zip(dataset_meta.episodes["tasks"], dataset_meta.episodes["length"], strict=True)
-    ):
-        number = int(dataset_meta.get_task_index(tasks[0]))
-        rows[number] += int(length) if trained is None or episode in trained else 0
-    mean = sum(rows.values()) / sum(count > 0 for count in rows.values())
-    return torch.tensor([mean / rows[index] if rows[index] else 0.0 for index in range(1 + max(rows))])
+def balanced_weights(task: NDArray[Any], trained: NDArray[np.bool_]) -> Tensor:
+    """Returns weights by task index, inverse to the tasks' numbers of trained rows; their mean over these rows is 1.
+
+    Args:
+        task: (R,) task index of each row. A dataset with a memory as text has several tasks in an episode.
+        trained: (R,) whether a row is trained on.
+    """
+    rows = np.bincount(task[trained], minlength=1 + int(task.max()))
+    weights = rows.sum() / np.count_nonzero(rows) / np.maximum(rows, 1)
+    return torch.from_numpy(np.where(rows > 0, weights, 0.0).astype(np.float32))
 
 
 def check_batch(config: Any, batch: Mapping[str, Any], state: Tensor, actions: Tensor, mirrored: float) -> None:

@@ -109,6 +109,12 @@ SIZES = (*COUNTS, "down_dims", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
 
+READ_HISTORY = ("no_repeat", "no_undo", "back_off")
+"""Rules at inference that read past actions."""
+SEEN_IN_TRAINING = ("memory_kind", "use_feedback", "horizon")
+"""Options that change no shape of a weight, and what it has seen in training."""
+
+
 @dataclass
 class Inference:
     """Memory, sampling and rules at inference. They do not change training. Presets dp3 and paper use none."""
@@ -212,8 +218,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     noise_scheduler_type: str = from_preset()
     # Denoising steps per chunk at run time, at most 100 (keyframe 2, dense 10, dp3 10, paper 100).
     num_inference_steps: int = from_preset()
-    # Training only: share of scenes mirrored left to right; joint positions and torques do not change. Not for objects
-    # that always turn the same way, such as lids and portafilters.
+    # Training only, its held-out loss included: share of scenes mirrored left to right; joint positions and torques do
+    # not change. Not for objects that always turn the same way, such as lids and portafilters. Needs poses.
     augmentation_mirror: float = 0.0
     # Learning rate of AdamW (keyframe 0.001, dense 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
@@ -227,6 +233,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             require_choice("noise_scheduler_type", self.noise_scheduler_type, ("DDPM", "DDIM"))
         self._check_sizes()
         self._check_horizon()
+        self._check_history()
 
     @property
     def method(self) -> HeadMethod:
@@ -289,9 +296,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 f"num_refinements >= 0, num_inference_steps <= {TRAIN_TIMESTEPS}",
                 f"--policy.preset={self.preset}, and none of these",
             )
-        if self.memory_episodes < 1 or (self.memory_episodes > 1 and not self.n_action_history_steps):
-            allowed = "1 or more; 1 without a history of actions"
-            raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
         if self.memory_kind is not None:
             require_choice("kind of memory", self.memory_kind, MEMORY_KINDS, hint="--policy.memory_kind=events")
         if not self.inference.temperature > 0.0:
@@ -300,6 +304,20 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")
+
+    def _check_history(self) -> None:
+        remembers = self.method.frame == "tool" and self.n_action_history_steps > 0
+        if self.memory_episodes < 1 or (self.memory_episodes > 1 and not remembers):
+            allowed = "1 or more; 1 without a history of actions, and with presets dp3 and paper"
+            raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
+        blind = [rule for rule in READ_HISTORY if self.inference.uses(rule)]
+        if blind and not self.n_action_history_steps:
+            raise self._error(
+                f"{', '.join(blind)}: these rules read the history of actions, which this policy does not have.",
+                ["n_action_history_steps"],
+                "1 or more in training and evaluation",
+                "rules of their own, such as --policy.inference.redraw=true, or none",
+            )
 
     def _check_horizon(self) -> None:
         factor = 2 ** (len(self.down_dims or ()) - 1) if self.method.head == "diffusion" else 1

@@ -9,6 +9,7 @@ baseline at inference) and `diffusion` (the heads for chunks of actions).
 
 import copy
 from collections import deque
+from pathlib import Path
 from typing import Any
 
 import torch
@@ -19,12 +20,13 @@ from torch import Tensor
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
+from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs, strokes
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import SEEN_IN_TRAINING, DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
 from lerobot_policy_adamanip.dp3_adaptive.truncated import TruncatedHead
 
@@ -76,7 +78,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
         if self.recorded is not None and config.method.has_rules:
             self.fit_anchors(*demonstrated_motions(self.recorded))
-        self._episodes = 0
+        self._episodes, self._has_acted = 0, False
         self.reset()
 
     def _make_head(self, stats: schema.Statistics | None) -> Any:
@@ -87,6 +89,21 @@ class DP3AdaptivePolicy(CloudPolicy):
         if self._sees_from_tool:
             return diffusion.MemoryDiffusionHead(self.config)
         return diffusion.BaseDiffusionHead(self.config, stats)
+
+    @classmethod
+    def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
+        """Loads strictly, and refuses other values of options that change what weights see, but not their shapes."""
+        folder = Path(model_file).parent
+        saved = json_fields.read(folder / "config.json")
+        for name in SEEN_IN_TRAINING:
+            if name in saved and saved[name] != getattr(model.config, name):
+                raise ConfigurationError(
+                    f"The checkpoint {folder} was trained with another {name}.",
+                    got=f"{name}={getattr(model.config, name)}",
+                    allowed=f"{name}={saved[name]}",
+                    hint=f"leave --policy.{name} out, or train new weights",
+                )
+        return super()._load_as_safetensor(model, model_file, map_location, strict)
 
     @classmethod
     def from_pretrained(
@@ -110,6 +127,13 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._batch_is_checked = False
         if dataset_meta is None:
             return
+        if self.config.augmentation_mirror and not self.config.has_pose_layout:
+            raise ConfigurationError(
+                "Only poses can be mirrored.",
+                got=f"augmentation_mirror={self.config.augmentation_mirror}, actions or states of another kind",
+                allowed=f"actions of {schema.ACTION_DIM} numbers and states that begin with them",
+                hint="adamanip collect --action ee_pose --state full, or without --policy.augmentation_mirror",
+            )
         read_in_batches(dataset_meta)
         self.match_clouds(dataset_meta, is_trained=is_trained)
         self.match_control(dataset_meta, is_trained=is_trained)
@@ -120,7 +144,10 @@ class DP3AdaptivePolicy(CloudPolicy):
         features = {schema.STATE: config.input_features[schema.STATE], schema.ACTION: config.action_feature}
         self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, stats)
         if config.balance_tasks:
-            self._task_weights = inputs.balanced_weights(dataset_meta)
+            read = inputs.read_columns(dataset_meta, (inputs.EPISODE, inputs.TASK))
+            columns = {key: values.reshape(-1) for key, values in read.items()}
+            trained = inputs.is_trained(dataset_meta, columns[inputs.EPISODE])
+            self._task_weights = inputs.balanced_weights(columns[inputs.TASK], trained)
 
     def fit_anchors(self, motions: Tensor, openings: Tensor) -> None:
         """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
@@ -143,7 +170,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         losses, weights, metrics = self._active_model().loss(window, actions, is_label)
         if self._task_weights is not None:
             self._task_weights = self._task_weights.to(losses)
-            weights = weights * self._task_weights[batch["task_index"]]
+            weights = weights * self._task_weights[batch[inputs.TASK]]
         if reduction != "mean":
             require_choice("reduction", reduction, ("mean", "none"))
             return len(losses) * losses * weights / weights.sum().clamp(min=1), {}
@@ -223,7 +250,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         """
         self._action_queue: deque[Tensor] = deque()  # LeRobot after 0.6.1 clears it, by name, for a new instruction
         self._chunks = ChunkGuard(self.name)
-        self._episodes += bool(self._episodes == 0 or self._executed)
+        self._episodes += self._episodes == 0 or self._has_acted
+        self._has_acted = False
         if 1 < self._episodes <= self.config.memory_episodes:
             # The result of the last action was not observed, so it must not count as a try: remember an opening hand.
             self._executed[-1] = self._executed[-1].clone()
@@ -247,7 +275,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         if not self._action_queue:
             chunk = self._generate(observation, self._observed, noise)
             self._action_queue.extend(chunk[:, : self.config.n_action_steps].unbind(dim=1))
-        action = self._action_queue.popleft()
+        action, self._has_acted = self._action_queue.popleft(), True
         is_pose = self._sees_from_tool or not self.config.has_pose_layout
         self._executed.append(action if is_pose else geometry.valid_pose(action))
         return action
@@ -312,7 +340,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         return observations
 
     def _single(self, batch: dict[str, Tensor]) -> dict[str, Tensor]:
-        """Returns one step's inputs, each (B, ...). Adds missing batch dimensions to clouds; LeRobot does to states."""
+        """Returns one step's inputs, each (B, ...). Adds missing batch dimensions; LeRobot does to states."""
         observation = self._observations(batch)
-        cloud = observation[schema.POINT_CLOUD]
-        return {**observation, schema.POINT_CLOUD: cloud[None] if cloud.dim() == 2 else cloud}
+        if observation[schema.POINT_CLOUD].dim() == 3:
+            return observation
+        return {key: value if key in (schema.STATE, INSTRUCTION) else value[None] for key, value in observation.items()}

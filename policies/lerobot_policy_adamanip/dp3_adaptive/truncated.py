@@ -206,8 +206,7 @@ class TruncatedHead(ToolHead):
         residuals = self.denoiser.sample(features, start, self.config.num_inference_steps)
         drawn = motions.anchors + residuals * motions.spread
         past = self.past(window) if self.memory is not None else None
-        every = torch.arange(logits.shape[1], device=logits.device)
-        limits = rules.limit_motions(inference, drawn, motions.shown_from(every, tool), past)
+        limits = rules.limit_motions(inference, drawn, motions.shown_from(tool), past)
         logits = logits - rules.UNDO_PENALTY * limits.undoing
         return rules.back_off(inference, past, self._choose(window, logits, drawn, limits, noises)[:, None])
 
@@ -299,9 +298,9 @@ class TypicalMotions(nn.Module):
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
         return varying[index]
 
-    def shown_from(self, index: Tensor, tool: Tensor) -> Tensor:
-        """Returns (B, K) whether demonstrations start anchors (B, K) with a hand in the state of tools (B, 10)."""
-        return self.starts[index, rules.hand_state(tool[:, GRIPPER_DIM])[:, None]]
+    def shown_from(self, tool: Tensor) -> Tensor:
+        """Returns (B, K) whether demonstrations start the anchors with a hand in the state of tools (B, 10)."""
+        return self.starts.T[rules.hand_state(tool[:, GRIPPER_DIM])]
 
 
 class Denoiser(nn.Module):

@@ -177,10 +177,20 @@ def test_it_remembers_at_run_time_what_its_labels_say(make: MakePolicy) -> None:
     policy, *_, dataset = make()
     policy.eval()
     rows = range(dataset.meta.episodes[0]["dataset_from_index"], dataset.meta.episodes[0]["dataset_to_index"] - 1)
-    labels = policy.labels
+    labels, plan, seen = policy.labels, policy._plan, []
+
+    def recorded(cloud: Any, pose: Any, memory: InteractionMemory) -> Any:
+        seen.append((memory.made, memory.sent is None))
+        return plan(cloud, pose, memory)
+
+    policy._plan = recorded
     for row in rows:
         item = dataset[row]
-        policy.select_action({key: item[key][None] for key in (schema.POINT_CLOUD, schema.STATE)})
+        observation = {key: item[key][None] for key in (schema.POINT_CLOUD, schema.STATE)}
+        seen.clear()
+        policy.predict_action_chunk(observation)
+        policy.select_action(observation)
+        assert seen == seen[:1] * 2, "a chunk is planned with the same memory as the action that follows"
         numbers = labels.history[row][labels.history[row] >= 0]
         memory = policy._memories[0]
         assert memory.made == len(numbers)

@@ -296,7 +296,7 @@ def test_a_hand_does_what_was_shown_in_its_state_and_an_empty_one_may_open() -> 
         (1.0, [False] * 3 + [True]),
     ):
         tool = torch.cat([AT_REST[:9], torch.tensor([opening])])[None]
-        assert motions.shown_from(motions.nearest(shown)[None], tool)[0].tolist() == [bool(each) for each in allowed]
+        assert motions.shown_from(tool)[0, motions.nearest(shown)].tolist() == [bool(each) for each in allowed]
 
 
 # In a policy -------------------------------------------------------------------------------------------------------

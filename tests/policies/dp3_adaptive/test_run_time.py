@@ -76,6 +76,16 @@ def test_reset_forgets_the_episode_which_decides_what_is_done(make_tiny: MakeTin
     assert policy.select_action(before(single)).shape == (1, 10)
 
 
+def test_an_observation_without_a_batch_dimension_is_one_of_a_batch(make_tiny: MakeTiny, observation_of: Any) -> None:
+    policy, before, _, dataset = make_tiny(preset="keyframe", use_effort=True)
+    policy.eval()
+    noise = torch.full((1, 1, 10), 0.3)
+    batched = policy.select_action(observation_of(dataset, before, 4), noise=noise)
+    policy.reset()
+    single = before({key: dataset[4][key] for key in policy.config.input_features})
+    assert torch.equal(policy.select_action(single, noise=noise), batched)
+
+
 def test_no_environment_sees_another(make_tiny: MakeTiny, observation_of: Any) -> None:
     policy, before, _, dataset = make_tiny(n_obs_steps=2, n_action_history_steps=3, n_action_steps=2)
     policy.eval()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from lerobot.processor.converters import batch_to_transition, transition_to_batch
@@ -70,18 +70,11 @@ def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
 # Tasks count alike --------------------------------------------------------------------------------------------------
 
 
-def _meta(*lengths: tuple[str, int]) -> Any:
-    names = sorted({name for name, _ in lengths})
-    episodes = {"tasks": [[name] for name, _ in lengths], "length": [length for _, length in lengths]}
-    return SimpleNamespace(episodes=episodes, get_task_index=names.index)
-
-
 def test_rows_of_a_rare_task_weigh_more_and_all_together_as_much_as_before() -> None:
-    lengths = (("a", 30), ("b", 10), ("a", 50), ("c", 30))
-    weights = balanced_weights(_meta(*lengths))
-    rows = torch.tensor([80.0, 10.0, 30.0])
-    shares = weights * rows
-    torch.testing.assert_close(shares, torch.full((3,), 40.0))
+    """Rows of one episode may have several tasks, as with a memory as text. Task 3 is of held-out rows alone."""
+    task, rows = np.repeat([0, 1, 0, 2, 3], [30, 10, 50, 30, 20]), torch.tensor([80.0, 10.0, 30.0, 0.0])
+    shares = balanced_weights(task, task < 3) * rows
+    torch.testing.assert_close(shares, torch.tensor([40.0, 40.0, 40.0, 0.0]))
     assert float(shares.sum()) == pytest.approx(float(rows.sum()))
 
 
