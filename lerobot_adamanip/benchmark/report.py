@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
 from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
@@ -130,9 +130,13 @@ class BenchmarkReport:
         """Returns the first method's share of scenes with at least an outcome minus the second's, in the same scenes.
 
         Uses the trainings that both have in all of these categories, with objects of one split; None if there are none,
-        or if their scenes differ. Outcomes: see `paired_difference`.
+        or if their scenes differ. A method without training is compared with each training of the other. Outcomes: see
+        `paired_difference`.
         """
         kept = {cell_of(result): result for result in self.results if result.rows[0].scene_outcomes}
+        trained = {cell for cell, result in kept.items() if result.run and TRAIN in result.run.steps}
+        seeds = {cell.seed for cell in trained if cell.method in methods}
+        kept |= {replace(cell, seed=seed): kept[cell] for cell in kept.keys() - trained for seed in seeds}
         pairs = {}
         for seed in sorted({cell.seed for cell in kept}):
             cells = [

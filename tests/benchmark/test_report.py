@@ -20,7 +20,7 @@ from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report, within
 from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
-from lerobot_adamanip.evaluation.metrics import pool
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import ResultFile, parse_result, read_result, read_results, write_result
@@ -156,6 +156,21 @@ def test_methods_are_compared_in_the_scenes_and_trainings_that_both_have(cells: 
     for each in cells.iterdir():
         change(each, row={"scene_outcomes": ""})
     assert DIFFERENCES not in benchmark_page(report_of(cells))
+
+
+def test_a_method_without_training_is_compared_with_each_training(cells: Path) -> None:
+    for path in cells.glob("*-*-seen-*.json"):
+        opened = 5 if path.stem.startswith("untrained") else 4 if path.stem.endswith("-1") else 1
+        outcomes = "2" * opened + "0" * (5 - opened)
+        metrics = Metrics(rate(opened, 5), rate(opened, 5))
+        change(path, row={"scene_outcomes": outcomes, "scene_tries": "", "metrics": metrics})
+    gap = report_of(cells).paired(("ours", "untrained"), ("bottle", "safe"), "seen", "1")
+    assert gap is not None
+    assert gap.by_training == pytest.approx({1: -0.2, 2: -0.8})
+    assert gap.difference == pytest.approx(-0.5), "the difference of the means: 50 % less 100 %"
+    other = report_of(cells).paired(("untrained", "untrained"), ("bottle", "safe"), "seen", "1")
+    assert other is not None
+    assert tuple(other.by_training) == (1,), "one result is not several trainings"
 
 
 def test_the_curve_over_failed_tries_rises_to_the_success(cells: Path) -> None:
