@@ -23,8 +23,8 @@ _WITHIN_TITLE = METRICS["within_best_tries"].title
 LEGEND = f"""## How to read it
 
 - *Within*: {_WITHIN_TITLE}. *Repeated*: failed tries that the next try repeats.
-- Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally. Those
-  of successes need all categories; those of tries are over the categories that have a value.
+- Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally
+  and need a result of each; those of tries leave out categories without a success or without a failed try.
 - The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
   take all episodes as independent, so they are too narrow where several trainings see the same scenes.
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
@@ -103,8 +103,9 @@ def means_table(report: BenchmarkReport) -> str:
             continue
         metrics = [entry.metrics for entry in entries]
         marks = "".join(mark for mark in MARKS if any(mark in entry.marks for entry in entries))
-        wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries)
-        repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated)
+        is_whole = len(entries) == len(report.categories)
+        wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries and is_whole)
+        repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated and is_whole)
         paper = reported_mean(report.paper[name], report.categories) if objects == PAPER_OBJECTS else None
         cells = [
             f"{percent_text(report.mean(name, objects))} {marks}".strip(),

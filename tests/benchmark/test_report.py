@@ -94,9 +94,12 @@ def test_trainings_are_counted_together_and_categories_equally(cells: Path) -> N
     assert mean == pytest.approx(sum(one.rate or 0.0 for one in rates) / 2)
     assert (report.trainings("ours", "seen"), report.trainings("ours", "unseen")) == ("1 to 2", "2")
     assert means(benchmark_page(report))["Ours, seen"]["opened"] == f"{100 * (mean or 0.0):.1f} %"
+    shown = ("opened", "within", "wasted tries", "repeated")
+    assert "-" not in [means(benchmark_page(report))["Ours, seen"][title] for title in shown]
     (cells / "ours-safe-seen-1.json").unlink()
     assert report_of(cells).mean("ours", "seen") is None
-    assert means(benchmark_page(report_of(cells)))["Ours, seen"]["opened"] == "-", "a mean of one category is none"
+    row = means(benchmark_page(report_of(cells)))["Ours, seen"]
+    assert [row[title] for title in shown] == ["-"] * 4, "a mean of one category is none"
 
 
 def test_the_summary_has_the_methods_with_all_categories(cells: Path) -> None:
