@@ -26,7 +26,8 @@ LEGEND = f"""## How to read it
 - Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally
   and need a result of each; those of tries leave out categories without a success or without a failed try.
 - The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
-  take all episodes as independent, so they are too narrow where several trainings see the same scenes.
+  take all episodes as independent, so they are too narrow where several trainings see the same scenes, or where
+  several episodes in a row play one scene.
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
   deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
 - Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a

@@ -176,6 +176,18 @@ def test_a_method_without_training_is_compared_with_each_training(cells: Path) -
     assert tuple(other.by_training) == (1,), "one result is not several trainings"
 
 
+def test_episodes_that_play_one_scene_are_one_scene_of_a_difference(cells: Path) -> None:
+    both = (("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1")
+    once = report_of(cells).paired(*both)
+    for path in cells.glob("*-seen-*.json"):
+        result = read_result(path)
+        metrics, row = pool([result.rows[0].metrics] * 3), result.rows[0]
+        outcomes = "".join(3 * digit for digit in row.scene_outcomes)
+        changes = {"scene_outcomes": outcomes, "scene_tries": "", "metrics": metrics}
+        change(path, row=changes, command=f"{result.command} --env.repeats=3")
+    assert report_of(cells).paired(*both) == once
+
+
 def test_the_curve_over_failed_tries_rises_to_the_success(cells: Path) -> None:
     report = report_of(cells)
     shares = report.opened_with("ours", "seen")
