@@ -276,6 +276,8 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     for name, scale in declaration.scales.items():
         if scale.held_out and (own := [key for key, one in declaration.methods_of(name).items() if one.demonstrations]):
             raise ValueError(f"scales.{name} has held_out, but methods.{own[0]} has no data_of: it sees every category")
+        if 0 in scale.seeds[1:]:
+            raise ValueError(f"scales.{name}.seeds has 0 after the first, whose demonstrations are those of seed 0 too")
         if scale.shown and not scale.held_out:
             raise ValueError(f"scales.{name}.shown needs held_out")
     for effect in declaration.effects:

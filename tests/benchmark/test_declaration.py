@@ -112,6 +112,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         (f"scales/{SCALE}/categories", ["teapot"], "'teapot'"),
         (f"scales/{SCALE}/splits", ["external"], "'external'"),
         (f"scales/{SCALE}/seeds", [], "seeds is []"),
+        (f"scales/{SCALE}/seeds", [1000, 0], f"scales.{SCALE}.seeds has 0 after the first"),
         ("demonstrations/static/expert", "clever", "expert is 'clever'"),
         ("demonstrations/static/trials", 0, "trials is 0"),
         ("nonsense", 1, "unknown field 'nonsense'"),
