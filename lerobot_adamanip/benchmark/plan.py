@@ -30,6 +30,8 @@ FOLDERS: Mapping[str, str] = {
 }
 """Kind of step -> folder of its products, relative to the benchmark's folder."""
 EPISODE_LOG = "episodes.jsonl"
+REVISION = "--policy.pretrained_revision"
+"""Option of `lerobot-eval`: revision of the weights of a checkpoint on the Hub. LeRobot reads the rest from main."""
 VIDEO_SIZE = 128
 """Side [px] of `lerobot-eval`'s videos if no policy sees them. At 256 px they take most of an evaluation's time."""
 TEST_SEED = 1000
@@ -378,6 +380,7 @@ def _evaluation(
     command = _command(
         "lerobot-eval",
         *((f"--policy.path={path}",) if path else untrained),
+        *((f"{REVISION}={method.revision}",) if method.revision else ()),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
         f"--env.objects={scale.tested_objects(cell.category, cell.objects)}",

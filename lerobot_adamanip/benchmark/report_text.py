@@ -31,8 +31,8 @@ LEGEND = f"""## How to read it
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
   deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
 - Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a
-  95 % interval over scenes, then each training's difference. The interval excludes the spread between trainings, each of
-  demonstrations of its own, and is not corrected for the number of comparisons. Two added scenes keep it from
+  95 % interval over scenes, then each training's difference. The interval excludes the spread between trainings, each
+  of demonstrations of its own, and is not corrected for the number of comparisons. Two added scenes keep it from
   collapsing where methods agree. A training in which one of the two lacks a category, or has other scenes, is left out.
 - Budgets are means over a method's trainings. Minutes are of corrections and trainings, and depend on the machine's
   other load. The last column is the change of the training loss from the last but one fifth of the last training to its

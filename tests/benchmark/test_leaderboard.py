@@ -124,6 +124,7 @@ def test_an_entry_has_every_cell_of_declared_scenes(enter: MakeEntry) -> None:
 
 def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEntry) -> None:
     table = '\n[methods.mine]\ntitle = "mine"\npolicy = "act"\ncheckpoint = "me/mine"\ndemonstrations = "mistakes"\n'
+    table += f'revision = "{"a" * 40}"\n'
     table += f"scales = {list(SCALES)}\n"
     assert "learns_from does not say" in lacking(enter("silent", 30, "mine", table))
     source = "demonstrations of an expert that knows the hidden state"

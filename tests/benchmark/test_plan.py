@@ -161,6 +161,7 @@ def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
 def test_a_checkpoint_on_the_hub_is_tested_and_not_trained() -> None:
     methods = content()["methods"]
     given = {"title": "Given", "policy": "act", "checkpoint": "me/act-{category}", "demonstrations": "adaptive"}
+    given["revision"] = "v1.0"
     pictures = {"adaptive": {"image_size": 96}, "static": {}}
     chosen = declared(methods={**methods, "given": given}, demonstrations=pictures)
     found = steps(chosen, which=cell("given"))
@@ -168,7 +169,10 @@ def test_a_checkpoint_on_the_hub_is_tested_and_not_trained() -> None:
     category = option(found[EVALUATE].command, "--env.type").removeprefix("adamanip_")
     assert option(found[EVALUATE].command, "--policy.path") == f"me/act-{category}"
     assert option(found[EVALUATE].command, "--env.image_size") == "96", "it observes what its demonstrations hold"
+    assert option(found[EVALUATE].command, "--policy.pretrained_revision") == "v1.0"
     assert len({each.seed for each in all_cells(chosen, SCALE) if each.method == "given"}) == 1
+    other = declared(methods={**methods, "given": {**given, "revision": "v1.1"}}, demonstrations=pictures)
+    assert steps(other, which=cell("given"))[EVALUATE].key != found[EVALUATE].key
 
 
 def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
