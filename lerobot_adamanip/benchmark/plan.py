@@ -271,7 +271,9 @@ def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVer
 def _correction(
     cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
 ) -> Step:
-    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data))
+    own = [name for name in ("trials", "late_starts") if getattr(data, name) != getattr(Demonstrations(), name)]
+    chosen = tuple(f"--{name.replace('_', '-')}={getattr(data, name):g}" for name in own)
+    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data), *chosen)
     per_object = math.ceil(episodes / _objects(cell, scale))
     return _recording(CORRECT, cell, data, scale, versions, per_object=per_object, how=how, needs=(training,))
 

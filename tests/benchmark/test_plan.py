@@ -229,6 +229,11 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
     found = named_steps(plan(cell(), declared(methods=methods), SCALE, VERSIONS))
     names = "collect train correct merge train_2 correct_2 merge_2 train_3 evaluate"
     assert list(found) == names.split()
+    assert not any("trials" in word or "late" in word for word in found["correct"].command), "keys of results hold"
+    chosen = {"adaptive": {"trials": 3, "late_starts": 0.5}, "static": {}}
+    corrected = named_steps(plan(cell(), declared(methods=methods, demonstrations=chosen), SCALE, VERSIONS))["correct"]
+    made = parse_command("collect", [*corrected.command[2:], *corrected.non_key_options])
+    assert (made.trials, made.late_starts) == (3, 0.5)
     before = steps()
     assert (found["collect"], found["train"]) == (before[COLLECT], before[TRAIN]), "they are those without a round"
     first = found["correct"]
