@@ -131,6 +131,7 @@ class BenchmarkRun:
     say: Callable[[str], None] = lambda text: None
     _failed: dict[str, str] = field(default_factory=dict, init=False)
     _running: dict[str, _RunningStep] = field(default_factory=dict, init=False)
+    _reopened: set[str] = field(default_factory=set, init=False)
 
     def state(self, cell: Cell) -> CellState:
         """Returns the progress of a cell; runs nothing."""
@@ -191,8 +192,12 @@ class BenchmarkRun:
             return None
         try:
             write_result(self.folder.result(cell), self._result(cell, step))
-        except StepError as error:
-            return CellState(cell, FAILED, str(error), before.result)
+        except StepError as error:  # the log has lost lines since the step was done
+            if step.key in self._reopened:
+                return CellState(cell, FAILED, str(error), before.result)
+            self._reopened.add(step.key)
+            self.folder.reopen(step)
+            return None
         return self.state(cell)
 
     def _next_step(self, whole: Step) -> Step | None:

@@ -340,6 +340,18 @@ def test_a_checkpoint_is_of_the_declared_revision(tmp_path: Path, monkeypatch: p
     assert "--policy.pretrained_revision=v1.0" in command
 
 
+def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> None:
+    root, runner = tmp_path / "out", FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
+    before, called = results(root), len(runner.called)
+    result = root / "cells" / "untrained-safe-seen-1000.json"
+    log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:3]))
+    result.unlink()
+    assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
+    assert (results(root), len(runner.called)) == (before, called + 1)
+
+
 # Programs ---------------------------------------------------------------------------------------------------------
 
 
