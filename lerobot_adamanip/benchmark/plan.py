@@ -50,7 +50,7 @@ _EXPERT_OPTIONS = {
         f"--env.{name}": f"--{name.replace('_', '-')}"
         for name in (
             "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log",
-            "repeats", "sensing",
+            "repeats", "sensing", "hints",
         )
     },
 }  # fmt: skip
