@@ -82,6 +82,8 @@ class ExpertCommand:
         """Runs the episodes and reports them. Returns 0."""
         if self.episodes < 1:
             raise ConfigurationError("No episode.", got=self.episodes, allowed="1 or more", hint="--episodes 50")
+        if self.seed < 0:
+            raise ConfigurationError("A seed is negative.", got=self.seed, allowed="0 or more", hint="--seed 1000")
         if self.episode_log.exists():
             raise ConfigurationError(
                 "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"

@@ -93,6 +93,7 @@ WRONG = (
     ("expert --expert-strateg paper", "--expert-strategy"),
     ("expert --split tests", "did you mean test?"),
     ("expert --episodes 0", "--episodes 50"),
+    ("expert --seed -5", "--seed 1000"),
     ("expert --episode-log dataset", "dataset"),
     ("expert --max-failed-tries bst", "best"),
 )
