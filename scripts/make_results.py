@@ -103,11 +103,16 @@ def results_page(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkR
 
 
 def success_table(result: ResultFile) -> str:
-    """Returns success by subject, category and split of objects; adds means for subjects with several categories."""
+    """Returns success by subject, category and split of objects; adds means for subjects with several categories.
+
+    Results of several mechanism rules have lines for each of them.
+    """
     splits = [split for split in OBJECT_SPLITS if any(row.objects == split for row in result.rows)]
+    rules = {row.mechanism_rules for row in result.rows}
     subjects: dict[str, dict[str, dict[str, ResultRow]]] = {}
     for row in result.rows:
-        subjects.setdefault(row.subject, {}).setdefault(row.category, {})[row.objects] = row
+        subject = f"{row.subject}, rules {row.mechanism_rules}" if len(rules) > 1 else row.subject
+        subjects.setdefault(subject, {}).setdefault(row.category, {})[row.objects] = row
     lines = []
     for subject, categories in subjects.items():
         for category, rows in categories.items():

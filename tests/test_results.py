@@ -107,6 +107,14 @@ def test_a_table_says_what_it_was_measured_with_and_ends_with_means_over_categor
     ]
 
 
+def test_rows_of_several_mechanism_rules_are_not_mixed() -> None:
+    rows = (row("adaptive", "safe", "seen", 19, 20), row("adaptive", "safe", "seen", 3, 20))
+    rows = (rows[0], dataclasses.replace(rows[1], mechanism_rules="hard"))
+    lines = make_results.success_table(result(rows=rows)).splitlines()
+    assert "| adaptive, rules paper | safe | 19/20 |" in lines
+    assert "| adaptive, rules hard | safe | 3/20 |" in lines
+
+
 def test_an_evaluation_is_a_row_in_the_readme_and_a_line_of_all_metrics() -> None:
     records = [record(seed=k, locked=k % 2 == 0, success=k % 4 != 0) for k in range(20)]
     rows = rows_of_records([*records, records[0]], "dp3_adaptive")

@@ -45,6 +45,7 @@ _OPTIONAL_NAME = text(r"|[a-z][a-z0-9_]{0,39}", "a name of small letters, digits
 _CHECKPOINT = text(
     r"|[\w-]{1,96}/[\w.{}-]{1,96}", "USER/NAME of a checkpoint on the Hub; {category} may be a part of it"
 )
+_REVISION = text(r"|(?!main$)\w[\w.-]{0,63}", "a commit (40 hex digits) or a tag of the checkpoint, not main")
 TITLE = text(r"[^\r\n|*`<>]{1,80}", "a line of plain text")
 _COUNT = integer(1, 10**8)
 _OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
@@ -116,6 +117,7 @@ class Method:
         demonstrations: name of the training set; empty for a policy without training.
         checkpoint: trained policy on the Hub, ``{category}`` stands for the cell's. It is not trained further; then
             ``demonstrations`` says what it observes.
+        revision: commit or tag of the checkpoint, which needs one.
         rounds: correction rounds after the first training.
         data_of: method whose demonstrations and corrections of all categories are the training set: one policy for all.
         train: additional options of ``lerobot-train``; they override the scale's.
@@ -134,6 +136,7 @@ class Method:
     options: Annotated[tuple[str, ...], _POLICY_OPTIONS] = ()
     demonstrations: Annotated[str, _OPTIONAL_NAME] = ""
     checkpoint: Annotated[str, _CHECKPOINT] = ""
+    revision: Annotated[str, _REVISION] = ""
     rounds: Annotated[tuple[Round, ...], listing(record(Round), 0, 20)] = ()
     data_of: Annotated[str, _OPTIONAL_NAME] = ""
     train: Annotated[tuple[str, ...], _OPTIONS] = ()
@@ -276,6 +279,8 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
     for name, scale in declaration.scales.items():
         if scale.held_out and (own := [key for key, one in declaration.methods_of(name).items() if one.demonstrations]):
             raise ValueError(f"scales.{name} has held_out, but methods.{own[0]} has no data_of: it sees every category")
+        if 0 in scale.seeds[1:]:
+            raise ValueError(f"scales.{name}.seeds has 0 after the first, whose demonstrations are those of seed 0 too")
         if scale.shown and not scale.held_out:
             raise ValueError(f"scales.{name}.shown needs held_out")
     for effect in declaration.effects:
@@ -305,6 +310,8 @@ def _check_method(declaration: Declaration, name: str, method: Method) -> None:
     training = ("expert", "rounds", "data_of", "options", "train")
     if method.checkpoint and (unused := [field_name for field_name in training if getattr(method, field_name)]):
         raise ValueError(f"methods.{name} has a checkpoint, which is not trained, and {unused[0]}; evaluate is allowed")
+    if bool(method.checkpoint) != bool(method.revision):
+        raise ValueError(f"methods.{name} needs both checkpoint and revision, or none of them")
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
     with_data = [other for other, one in declaration.methods.items() if one.demonstrations]

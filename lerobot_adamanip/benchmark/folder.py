@@ -56,7 +56,13 @@ class BenchmarkFolder:
         self, step: Step, seconds: float, machine: Mapping[str, int | bool], versions: Mapping[str, str]
     ) -> None:
         """Records that a step's command has succeeded."""
+        if step.kind == EVALUATE:
+            files.sync(self.product(step) / EPISODE_LOG)  # a power cut must not take lines that the record relies on
         self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine, versions)))
+
+    def reopen(self, step: Step) -> None:
+        """Records that a finished step has to run again."""
+        self._write(step, {"begun": max(1, self._begun(step))})
 
     def cost(self, step: Step) -> StepCost | None:
         """Returns the cost of a step; None if it is not done."""

@@ -10,6 +10,7 @@ from pathlib import Path
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
 from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, cell_of, evaluation_options, options_key, plan
 from lerobot_adamanip.benchmark.report import scene_options, within
+from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
 from lerobot_adamanip.evaluation.results import ResultFile, read_results
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
@@ -68,6 +69,11 @@ class LeaderboardEntry:
             return self.method.learns_from
         return f"the benchmark's demonstrations{' and corrections' if self.method.rounds else ''}"
 
+    @property
+    def simulation_version(self) -> int:
+        """Simulation version of all results."""
+        return next(iter(self.results[SCALES[0]].values())).simulation_version
+
     def row(self) -> tuple[float, list[str]]:
         """Returns the share that decides the order, and the cells of the table after the name."""
         places: dict[tuple[str, str], list[float]] = {place: [] for place in COLUMNS}
@@ -115,23 +121,34 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
             yield f"scale {scale} is not that of {TRACKS.name}"
             continue
         wanted = {cell for cell in all_cells(declaration, scale) if cell.method == name}
+        if not wanted:
+            yield f"{scale}: no cell is declared for {name}"
         found = {cell_of(one): one for one in results[scale] if one.run}
         if foreign := len(results[scale]) - len(found.keys() & wanted):
             yield f"{scale}: {foreign} files that are no result of a declared cell"
         if missing := sorted(cell.name for cell in wanted - found.keys()):
             yield f"{scale}: {len(missing)} of {len(wanted)} cells are missing, such as {missing[0]}"
         for cell in sorted(found.keys() & wanted, key=str):
-            result = found[cell]
-            if result.commit is None or result.changed:
-                yield f"{scale}, {cell.name}: made from a commit with changes, or from none"
-            if result.run and result.run.options != options_key(cell, declaration, scale):
-                yield f"{scale}, {cell.name}: made with other options than declared"
-            wished, given = scenes(cell, declaration, scale), scenes(replace(cell, method=REFERENCE), tracks, scale)
-            if wished != given:
-                names = ", ".join(sorted({name for name, _ in wished ^ given}))
-                yield f"{scale}, {cell.name}: evaluated in other scenes ({names})"
+            given = scenes(replace(cell, method=REFERENCE), tracks, scale)
+            for problem in _problems_of(found[cell], cell, declaration, scale, given):
+                yield f"{scale}, {cell.name}: {problem}"
     if len(versions := {str(one.simulation_version) for each in results.values() for one in each}) > 1:
         yield f"simulation versions {' and '.join(sorted(versions))}"
+
+
+def _problems_of(
+    result: ResultFile, cell: Cell, declaration: Declaration, scale: str, given: frozenset[tuple[str, str]]
+) -> Iterator[str]:
+    """Yields what a result lacks; ``given`` are the scenes of all entries."""
+    if result.commit is None or result.changed:
+        yield "made from a commit with changes, or from none"
+    if result.run and result.run.options != options_key(cell, declaration, scale):
+        yield "made with other options than declared"
+    wished, episodes = scenes(cell, declaration, scale), result.rows[0].metrics.success.episodes
+    if (result.scenes, str(episodes)) != tuple(dict(wished)[name] for name in ("--env.split", "--eval.n_episodes")):
+        yield f"{episodes} episodes of {result.scenes} scenes"
+    if wished != given:
+        yield f"evaluated in other scenes ({', '.join(sorted({name for name, _ in wished ^ given}))})"
 
 
 def scenes(cell: Cell, declaration: Declaration, scale: str) -> frozenset[tuple[str, str]]:
@@ -147,9 +164,14 @@ def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
         "entry", "learns from", "mean", *COLUMNS.values(), METRICS["repeated"].title, "something new after one",
         "after two",
     ]  # fmt: skip
-    rows = {name: entry.row() for name, entry in entries.items()}
-    lines = [[name, *cells] for name, (_, cells) in sorted(rows.items(), key=lambda item: item[1][0], reverse=True)]
+    rows = {name: (entry.simulation_version, *entry.row()) for name, entry in entries.items()}
+    ranked = sorted(rows.items(), key=lambda item: item[1][:2], reverse=True)
+    lines = [
+        [name if version == SIMULATION_VERSION else f"{name} (simulation version {version})", *cells]
+        for name, (version, _, cells) in ranked
+    ]
     table = markdown_table(titles, lines) if lines else "No entry yet."
     explanation = f"""Opened {METRICS["within_best_tries"].title.removeprefix("opened ")}, means over the categories of
-three [tracks](tracks.md); the mean of the four columns decides the order."""
+three [tracks](tracks.md); the mean of the four columns decides the order.
+Entries of an earlier simulation version are named with it and come last: their scenes are others."""
     return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"

@@ -30,6 +30,8 @@ FOLDERS: Mapping[str, str] = {
 }
 """Kind of step -> folder of its products, relative to the benchmark's folder."""
 EPISODE_LOG = "episodes.jsonl"
+REVISION = "--policy.pretrained_revision"
+"""Option of `lerobot-eval`: revision of the weights of a checkpoint on the Hub. LeRobot reads the rest from main."""
 VIDEO_SIZE = 128
 """Side [px] of `lerobot-eval`'s videos if no policy sees them. At 256 px they take most of an evaluation's time."""
 TEST_SEED = 1000
@@ -48,7 +50,7 @@ _EXPERT_OPTIONS = {
         f"--env.{name}": f"--{name.replace('_', '-')}"
         for name in (
             "objects", "split", "poses", "mechanism_rules", "episode_length", "max_failed_tries", "episode_log",
-            "repeats", "sensing",
+            "repeats", "sensing", "hints",
         )
     },
 }  # fmt: skip
@@ -269,7 +271,9 @@ def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVer
 def _correction(
     cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
 ) -> Step:
-    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data))
+    own = [name for name in ("trials", "late_starts") if getattr(data, name) != getattr(Demonstrations(), name)]
+    chosen = tuple(f"--{name.replace('_', '-')}={getattr(data, name):g}" for name in own)
+    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data), *chosen)
     per_object = math.ceil(episodes / _objects(cell, scale))
     return _recording(CORRECT, cell, data, scale, versions, per_object=per_object, how=how, needs=(training,))
 
@@ -378,6 +382,7 @@ def _evaluation(
     command = _command(
         "lerobot-eval",
         *((f"--policy.path={path}",) if path else untrained),
+        *((f"{REVISION}={method.revision}",) if method.revision else ()),
         f"--policy.device={scale.device}",
         f"--env.type=adamanip_{cell.category}",
         f"--env.objects={scale.tested_objects(cell.category, cell.objects)}",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import statistics
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
 from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
@@ -130,10 +130,14 @@ class BenchmarkReport:
         """Returns the first method's share of scenes with at least an outcome minus the second's, in the same scenes.
 
         Uses the trainings that both have in all of these categories, with objects of one split; None if there are none,
-        or if their scenes differ. Outcomes: see `paired_difference`.
+        or if their scenes differ. A method without training is compared with each training of the other. Outcomes: see
+        `paired_difference`.
         """
         kept = {cell_of(result): result for result in self.results if result.rows[0].scene_outcomes}
-        pairs = {}
+        trained = {cell for cell, result in kept.items() if result.run and TRAIN in result.run.steps}
+        seeds = {cell.seed for cell in trained if cell.method in methods}
+        kept |= {replace(cell, seed=seed): kept[cell] for cell in kept.keys() - trained for seed in seeds}
+        pairs, repeats = {}, 1
         for seed in sorted({cell.seed for cell in kept}):
             cells = [
                 [Cell(method=name, category=category, objects=objects, seed=seed) for name in methods]
@@ -143,8 +147,9 @@ class BenchmarkReport:
             if all(one and other and scenes_of(one) == scenes_of(other) for one, other in both):
                 rows = [(one.rows[0], other.rows[0]) for one, other in both if one and other]
                 pairs[seed] = [(one.scene_outcomes, other.scene_outcomes) for one, other in rows]
+                repeats = next((_repeats(one) for one, _ in both if one), 1)
         lengths = {len(first) for several in pairs.values() for first, _ in several}
-        return paired_difference(pairs, min_outcome) if len(lengths) == 1 else None
+        return paired_difference(pairs, min_outcome, repeats) if len(lengths) == 1 else None
 
     def opened_with(self, method: str, objects: str) -> list[float]:
         """Returns the share of scenes opened with at most 0, 1, ... `MAX_COUNTED_TRIES` - 1 failed tries.
@@ -198,6 +203,10 @@ def scenes_of(result: ResultFile) -> tuple[object, ...]:
     """Returns the version, seeds and options that decide the scenes of a result."""
     deciding = scene_options(result.command)
     return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), deciding
+
+
+def _repeats(result: ResultFile) -> int:
+    return int(evaluation_options(result.command).get("--env.repeats", 1))
 
 
 def scene_options(command: str) -> frozenset[tuple[str, str]]:

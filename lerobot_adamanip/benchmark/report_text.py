@@ -23,15 +23,16 @@ _WITHIN_TITLE = METRICS["within_best_tries"].title
 LEGEND = f"""## How to read it
 
 - *Within*: {_WITHIN_TITLE}. *Repeated*: failed tries that the next try repeats.
-- Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally. Those
-  of successes need all categories; those of tries are over the categories that have a value.
+- Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally
+  and need a result of each; those of tries leave out categories without a success or without a failed try.
 - The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
-  take all episodes as independent, so they are too narrow where several trainings see the same scenes.
+  take all episodes as independent, so they are too narrow where several trainings see the same scenes, or where
+  several episodes in a row play one scene.
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
   deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
 - Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a
-  95 % interval over scenes, then each training's difference. The interval excludes the spread between trainings, which
-  share their demonstrations, and is not corrected for the number of comparisons. Two added scenes keep it from
+  95 % interval over scenes, then each training's difference. The interval excludes the spread between trainings, each
+  of demonstrations of its own, and is not corrected for the number of comparisons. Two added scenes keep it from
   collapsing where methods agree. A training in which one of the two lacks a category, or has other scenes, is left out.
 - Budgets are means over a method's trainings. Minutes are of corrections and trainings, and depend on the machine's
   other load. The last column is the change of the training loss from the last but one fifth of the last training to its
@@ -103,8 +104,9 @@ def means_table(report: BenchmarkReport) -> str:
             continue
         metrics = [entry.metrics for entry in entries]
         marks = "".join(mark for mark in MARKS if any(mark in entry.marks for entry in entries))
-        wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries)
-        repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated)
+        is_whole = len(entries) == len(report.categories)
+        wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries and is_whole)
+        repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated and is_whole)
         paper = reported_mean(report.paper[name], report.categories) if objects == PAPER_OBJECTS else None
         cells = [
             f"{percent_text(report.mean(name, objects))} {marks}".strip(),

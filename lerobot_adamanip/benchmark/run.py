@@ -22,6 +22,7 @@ from lerobot_adamanip.benchmark.plan import (
     CORRECT,
     EPISODE_LOG,
     MERGE,
+    REVISION,
     TRAIN,
     Cell,
     KeyVersions,
@@ -130,6 +131,7 @@ class BenchmarkRun:
     say: Callable[[str], None] = lambda text: None
     _failed: dict[str, str] = field(default_factory=dict, init=False)
     _running: dict[str, _RunningStep] = field(default_factory=dict, init=False)
+    _reopened: set[str] = field(default_factory=set, init=False)
 
     def state(self, cell: Cell) -> CellState:
         """Returns the progress of a cell; runs nothing."""
@@ -190,8 +192,12 @@ class BenchmarkRun:
             return None
         try:
             write_result(self.folder.result(cell), self._result(cell, step))
-        except StepError as error:
-            return CellState(cell, FAILED, str(error), before.result)
+        except StepError as error:  # the log has lost lines since the step was done
+            if step.key in self._reopened:
+                return CellState(cell, FAILED, str(error), before.result)
+            self._reopened.add(step.key)
+            self.folder.reopen(step)
+            return None
         return self.state(cell)
 
     def _next_step(self, whole: Step) -> Step | None:
@@ -238,6 +244,7 @@ class BenchmarkRun:
                 log = self.folder.log(step).relative_to(self.folder.root)
                 raise StepError(f"{program} ended with status {status}: {log}")
             if step.kind == EVALUATE:
+                _require_revision(command_options(shlex.join(step.command)))
                 self._records(step)
         except StepError as error:
             self._failed[step.key] = str(error)
@@ -317,6 +324,23 @@ class BenchmarkRun:
                 trainings={name: log for name, log in logs.items() if log is not None},
                 costs=costs,
             ),
+        )
+
+
+def _require_revision(options: Mapping[str, str]) -> None:
+    """Raises `StepError` if the Hub cache's main, whose configuration was read, is not the declared revision."""
+    if (revision := options.get(REVISION)) is None:
+        return
+    from huggingface_hub import constants
+    from huggingface_hub.file_download import repo_folder_name
+
+    folder = Path(constants.HF_HUB_CACHE, repo_folder_name(repo_id=options["--policy.path"], repo_type="model"))
+    main, declared = (folder / "refs" / name for name in ("main", revision))
+    commit = main.read_text().strip() if main.exists() else "no commit"
+    if commit not in (revision, declared.read_text().strip() if declared.exists() else revision):
+        raise StepError(
+            f"The configuration of {options['--policy.path']} is main's, {commit} in the Hub cache, not of {revision}: "
+            "download main again, or declare its commit"
         )
 
 

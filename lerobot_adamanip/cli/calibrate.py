@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
@@ -138,8 +139,11 @@ class CalibrateCommand:
         require_suffix(path, (".png",), "board.png")
         board = self._board()
         Image.fromarray(board.image(DOTS_PER_METRE)).save(path, dpi=(300, 300))
-        size = f"{1e3 * board.columns * board.square:.0f} x {1e3 * board.rows * board.square:.0f} mm"
-        self._say(f"{path}: {size}. Print at 100 %, glue it to a flat plate, and measure a square.")
+        size = [1e3 * count * board.square for count in (board.columns, board.rows)]
+        text = (
+            f"{path}: {size[0]:.0f} x {size[1]:.0f} mm. Print at 100 %, glue it to a flat plate, and measure a square."
+        )
+        print_result(self.json, {**vars(board), "board_image": path, "size_mm": size}, text)
         return 0
 
     def _board(self) -> Board:
@@ -185,9 +189,10 @@ class CalibrateCommand:
 
 
 def _wants_picture() -> bool:
-    """Waits for the user. Returns False to end."""
+    """Waits for the user, with the prompt on stderr, since stdout may be JSON. Returns False to end."""
+    print("Enter takes a picture, q and Enter ends: ", end="", file=sys.stderr, flush=True)
     try:
-        return input("Enter takes a picture, q and Enter ends: ").strip().lower() != "q"
+        return input().strip().lower() != "q"
     except EOFError:
         return False
 

@@ -14,6 +14,7 @@ from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_r
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts
@@ -229,9 +230,27 @@ class CollectCommand:
         )
         return dataclasses.replace(spec, environment=spec.environment.changed(observe_images=images))
 
+    def _require_effects(self) -> None:
+        """Raises `ConfigurationError` for an option that would have no effect."""
+        idle = {
+            "with --control dense": () if self.control == DENSE else ("fps", "action", "state", "cloud", "effort"),
+            "with --policy": () if self.policy else ("expert_share",),
+            "without --part": ("unscaled_poses",) if self.part else (),
+        }
+        defaults = {item.name: item.default for item in dataclasses.fields(self)}
+        for allowed, names in idle.items():
+            for option in (f"--{name.replace('_', '-')}" for name in names if getattr(self, name) != defaults[name]):
+                raise ConfigurationError(
+                    "An option has no effect here.",
+                    got=option,
+                    allowed=f"{option} {allowed}",
+                    hint=f"leave out {option}",
+                )
+
     def _spec_without_images(self) -> CollectionSpec:
         from lerobot_adamanip.cli.collect_setup import objects_to_collect
 
+        self._require_effects()
         categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
         environment = EnvironmentOptions(
             category=categories[0],

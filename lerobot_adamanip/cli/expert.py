@@ -54,6 +54,9 @@ class ExpertCommand:
     sensing: str = "exact"
     """Errors of sensors and arm, as of `--env.sensing`. The expert sees none of them: its episodes do not change."""
 
+    hints: float = 0.0
+    """Share of episodes whose instruction says what is hidden. The expert reads none: its episodes do not change."""
+
     repeats: int = 1
     """Episodes in a row that play one scene. The expert forgets it after each episode."""
 
@@ -79,13 +82,15 @@ class ExpertCommand:
         """Runs the episodes and reports them. Returns 0."""
         if self.episodes < 1:
             raise ConfigurationError("No episode.", got=self.episodes, allowed="1 or more", hint="--episodes 50")
+        if self.seed < 0:
+            raise ConfigurationError("A seed is negative.", got=self.seed, allowed="0 or more", hint="--seed 1000")
         if self.episode_log.exists():
             raise ConfigurationError(
                 "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"
             )
-        shared = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats", "sensing")
+        same = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats", "sensing")
         options = EnvironmentOptions(
-            **{name: getattr(self, name) for name in shared},
+            **{name: getattr(self, name) for name in (*same, "hints")},
             max_key_frames=self.episode_length,
             observe_images=False,
             episode_log=str(self.episode_log),

@@ -6,15 +6,17 @@ its folder when it is complete.
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.compose import Progress, compose
@@ -23,6 +25,7 @@ from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.selection import Selection
+from lerobot_adamanip.experts import EXPERT_KINDS
 from lerobot_adamanip.hardware.features import ARM
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
 
 EPISODE = "episode_index"
 _ROUNDING = 1e-6
+type _Content = tuple[int, str, str, int, str]
 Parts = Mapping[str, Sequence[int]]
 """Name of a part -> its episode indices, ascending."""
 
@@ -282,13 +286,35 @@ def merge_into(
 def _require_each_once(sources: Sequence[Dataset]) -> None:
     """Raises `DatasetError` if two sources hold the same episode."""
     known = Counter((source.selection.source, index) for source in sources for index in source.selection.episodes)
-    if twice := sorted(index for (_, index), count in known.items() if count > 1):
+    twice, which = sorted(index for (_, index), count in known.items() if count > 1), "indices in their source dataset"
+    if not twice:
+        contents: dict[str, set[_Content]] = {}
+        for source in sources:
+            contents.setdefault(source.selection.source, set()).update(_contents(source))
+        equal = Counter(itertools.chain.from_iterable(contents.values()))
+        twice, which = sorted(seed for (seed, *_), count in equal.items() if count > 1), "seeds"
+    if twice:
         raise DatasetError(
             "These datasets share episodes, which would appear twice in the new one.",
-            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} (indices in their source dataset)",
+            got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} ({which})",
             allowed="datasets, or parts of one, without a common episode",
             hint="name each dataset once; for overlapping parts, use one `adamanip filter` that selects both",
         )
+
+
+def _contents(source: Dataset) -> Iterator[_Content]:
+    """Yields seed, object, expert, length and statistics of the actions of each simulated episode of an expert.
+
+    Not of a policy: two of them may leave a whole episode of one scene to the expert that corrects them.
+    """
+    names = ("seed", "object_id", "expert", "length")
+    if not set(names) <= set(source.table.column_names):
+        return
+    statistics = [source.statistics[f"stats/{schema.ACTION}/{name}"].to_pylist() for name in ("min", "max", "mean")]
+    columns = [source.table[name].to_pylist() for name in names]
+    for seed, object_id, expert, length, *actions in zip(*columns, *statistics, strict=True):
+        if expert in EXPERT_KINDS:
+            yield seed, object_id, expert, length, str(actions)
 
 
 def _require_equal_features(sources: Sequence[Dataset]) -> None:

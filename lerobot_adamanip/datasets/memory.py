@@ -22,7 +22,6 @@ from lerobot_adamanip.contract.memory import (
     instruction_of,
     memory_feature,
 )
-from lerobot_adamanip.datasets.attempts import attempts_path
 from lerobot_adamanip.datasets.cards import dataset_card
 from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.compose import Addition, Column, compose
@@ -30,7 +29,6 @@ from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection, kind_by_size
 from lerobot_adamanip.datasets.output_folder import WRITING, owned_output
 from lerobot_adamanip.datasets.repository_names import require_repo_id
-from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.episode.memory import Memory, stored_memory
 from lerobot_adamanip.hardware.features import is_dense
 from lerobot_adamanip.util import files
@@ -74,10 +72,7 @@ def add_memory(
         output.require_room(files.tree_bytes(source.root))
         built, name = output.fresh("dataset"), repo_id or f"local/{output.root.name}"
         pieces = [(source, episode) for episode in range(len(source))]
-        compose(built, pieces, name, None, progress, addition=addition)
-        for path in (attempts_path, selection_path):
-            if path(source.root).is_file():
-                files.write_atomically(path(built), path(source.root).read_bytes())
+        compose(built, pieces, name, source.selection, progress, addition=addition)
         if manifest_path(source.root).is_file():
             content: Any = read(manifest_path(source.root))
             content["collection"]["environment"]["memory"] = form

@@ -51,7 +51,9 @@ def _in_order(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     return sorted(records, key=lambda record: record.given_seed)
 
 
-def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcome: str) -> PairedDifference:
+def paired_difference(
+    pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcome: str, repeats: int = 1
+) -> PairedDifference:
     """Returns the difference of two policies, first minus second, in the share of scenes with at least ``min_outcome``.
 
     Equal seeds of several evaluations (categories) count as one scene, because they draw similar poses and hidden
@@ -62,14 +64,15 @@ def paired_difference(pairs: Mapping[int, Sequence[tuple[str, str]]], min_outcom
     Args:
         pairs: training seed -> outcomes of both policies in some evaluations, all of the same length.
         min_outcome: `OPENED` or `WITHIN_TRIES`.
+        repeats: number of consecutive episodes that play one scene; their mean counts as one scene.
     """
-    gaps = {
-        seed: np.mean(
+    gaps = {}
+    for seed, evaluations in pairs.items():
+        gap = np.mean(
             [[(a >= min_outcome) - (b >= min_outcome) for a, b in zip(*pair, strict=True)] for pair in evaluations],
             axis=0,
         )
-        for seed, evaluations in pairs.items()
-    }
+        gaps[seed] = np.array([gap[first : first + repeats].mean() for first in range(0, len(gap), repeats)])
     scenes = np.mean(list(gaps.values()), axis=0)
     added = max(map(len, pairs.values())) ** -0.5
     interval = stats.ttest_1samp([*scenes, added, -added], 0.0).confidence_interval()

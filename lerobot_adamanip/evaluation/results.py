@@ -323,7 +323,7 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
         ConfigurationError: several simulation versions or scene splits are mixed.
     """
     records = [one for part in evaluations.values() for one in part]
-    kinds = sorted({(one.provenance.simulation_version, one.split) for one in records})
+    kinds = sorted({(one.provenance.simulation_version, one.split) for one in records}, key=str)
     if len(kinds) > 1:
         raise ConfigurationError(
             "A result file is of one simulation version and one split of scenes.",
@@ -344,9 +344,17 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
 
 
 def write_result(path: Path, result: ResultFile) -> None:
-    """Writes a result file; its content is validated as `read_result` does."""
+    """Writes a result file; raises `ConfigurationError` if `read_result` would refuse it."""
     content = json.loads(json.dumps(result.to_json()))
-    parse_result(content)
+    try:
+        parse_result(content)
+    except ValueError as error:
+        raise ConfigurationError(
+            "These values make no result file.",
+            got=error,
+            allowed="labels and a title of one line without |, a command of one line without backquotes",
+            hint="adamanip report LOG --label NAME --title TITLE",
+        ) from error
     path.parent.mkdir(parents=True, exist_ok=True)
     write_atomically(path, (json.dumps(content, indent=1) + "\n").encode())
 

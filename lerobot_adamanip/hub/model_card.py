@@ -12,6 +12,7 @@ from typing import Any
 from safetensors import safe_open
 
 from lerobot_adamanip.contract.control import DENSE
+from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile, command_options
 from lerobot_adamanip.hub.model_index import eval_results, results_table
@@ -52,8 +53,9 @@ _ROWS = {
 _OF_DENSE = ("control", "fps", "action", "state", "observe_cloud", "observe_effort")
 _OF_ALL = {
     "memory": "none", "image_size": "256", "num_points": "1024", "sensing": "exact", "self_calibration": "false",
+    "poses": "randomized", "mechanism_rules": "paper", "hints": "0.0", "max_failed_tries": "", "episode_length": "",
 }  # fmt: skip
-"""Options of environments that a policy may need: at control rate, and at both controls with their defaults."""
+"""Options of environments that decide observations or scenes: at control rate, and at both with their defaults."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
 
 
@@ -127,7 +129,11 @@ def model_card(
 
 def _environment(trained: Mapping[str, Any], results: Sequence[ResultFile]) -> tuple[str, dict[str, str]]:
     """Returns the type and the options of the environments to evaluate in: those of the results, or of the training."""
-    options = {name: str(value).lower() if isinstance(value, bool) else str(value) for name, value in trained.items()}
+    options = {
+        name: str(value).lower() if isinstance(value, bool) else str(value)
+        for name, value in trained.items()
+        if value is not None and (name, value) != ("episode_length", MAX_KEY_FRAMES)
+    }
     kind = str(trained.get("type") or "adamanip")
     if results:
         options = {name.removeprefix("--env."): value for name, value in command_options(results[0].command).items()}

@@ -71,6 +71,13 @@ def test_the_best_entry_comes_first(enter: MakeEntry) -> None:
     assert "No entry yet." in leaderboard_page({})
 
 
+def test_an_entry_of_an_earlier_simulation_version_comes_last_and_says_so(enter: MakeEntry) -> None:
+    folders = enter("old", 48, simulation_version=1), enter("weak", 12), enter("strong", 24)
+    page = leaderboard_page({path.name: read_entry(path) for path in folders})
+    names = [line.split(" | ")[0].strip("| ") for line in page.splitlines() if line.startswith("| ")]
+    assert names[-3:] == ["strong", "weak", "old (simulation version 1)"]
+
+
 def test_each_track_has_its_column(enter: MakeEntry) -> None:
     entry = read_entry(enter("mine", 30))
     for column, (scale, objects) in enumerate(COLUMNS):
@@ -124,6 +131,7 @@ def test_an_entry_has_every_cell_of_declared_scenes(enter: MakeEntry) -> None:
 
 def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEntry) -> None:
     table = '\n[methods.mine]\ntitle = "mine"\npolicy = "act"\ncheckpoint = "me/mine"\ndemonstrations = "mistakes"\n'
+    table += f'revision = "{"a" * 40}"\n'
     table += f"scales = {list(SCALES)}\n"
     assert "learns_from does not say" in lacking(enter("silent", 30, "mine", table))
     source = "demonstrations of an expert that knows the hidden state"
@@ -132,6 +140,27 @@ def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEnt
     cell = next((folder / "row").glob("*.json"))
     edit(cell, lambda one: dataclasses.replace(one, run=dataclasses.replace(one.run, method="expert")))  # type: ignore[type-var]
     assert "results of expert, mine, not of one declared method" in lacking(folder)
+
+
+@pytest.mark.parametrize("scale", SCALES)
+def test_a_method_of_one_scale_alone_is_no_entry(scale: str, enter: MakeEntry) -> None:
+    table = f'\n[methods.mine]\nlike = "dp3_adaptive"\ntitle = "mine"\nscales = ["{scale}"]\n'
+    folder = enter("mine", 30, "mine", table)
+    for other in set(SCALES) - {scale}:
+        for path in (folder / other).glob("*.json"):
+            path.unlink()
+    assert lacking(folder).count("no cell is declared for mine") == len(SCALES) - 1
+
+
+def test_results_have_the_declared_scenes_and_episodes(enter: MakeEntry) -> None:
+    folder = enter("mine", 30)
+    first, second = sorted((folder / "row").glob("*.json"))[:2]
+    edit(first, lambda one: dataclasses.replace(one, scenes="train"))
+    row = dataclasses.replace(read_result(second).rows[0], metrics=Metrics(rate(3, 5), rate(3, 5)))
+    edit(second, lambda one: dataclasses.replace(one, rows=(row,)))
+    said = lacking(folder)
+    assert f"row, {first.stem}: 60 episodes of train scenes" in said
+    assert f"row, {second.stem}: 5 episodes of test scenes" in said
 
 
 @pytest.mark.parametrize(

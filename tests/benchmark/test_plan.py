@@ -161,6 +161,7 @@ def test_a_policy_that_needs_no_training_is_made_where_it_is_tested() -> None:
 def test_a_checkpoint_on_the_hub_is_tested_and_not_trained() -> None:
     methods = content()["methods"]
     given = {"title": "Given", "policy": "act", "checkpoint": "me/act-{category}", "demonstrations": "adaptive"}
+    given["revision"] = "v1.0"
     pictures = {"adaptive": {"image_size": 96}, "static": {}}
     chosen = declared(methods={**methods, "given": given}, demonstrations=pictures)
     found = steps(chosen, which=cell("given"))
@@ -168,7 +169,10 @@ def test_a_checkpoint_on_the_hub_is_tested_and_not_trained() -> None:
     category = option(found[EVALUATE].command, "--env.type").removeprefix("adamanip_")
     assert option(found[EVALUATE].command, "--policy.path") == f"me/act-{category}"
     assert option(found[EVALUATE].command, "--env.image_size") == "96", "it observes what its demonstrations hold"
+    assert option(found[EVALUATE].command, "--policy.pretrained_revision") == "v1.0"
     assert len({each.seed for each in all_cells(chosen, SCALE) if each.method == "given"}) == 1
+    other = declared(methods={**methods, "given": {**given, "revision": "v1.1"}}, demonstrations=pictures)
+    assert steps(other, which=cell("given"))[EVALUATE].key != found[EVALUATE].key
 
 
 def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
@@ -225,6 +229,11 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
     found = named_steps(plan(cell(), declared(methods=methods), SCALE, VERSIONS))
     names = "collect train correct merge train_2 correct_2 merge_2 train_3 evaluate"
     assert list(found) == names.split()
+    assert not any("trials" in word or "late" in word for word in found["correct"].command), "keys of results hold"
+    chosen = {"adaptive": {"trials": 3, "late_starts": 0.5}, "static": {}}
+    corrected = named_steps(plan(cell(), declared(methods=methods, demonstrations=chosen), SCALE, VERSIONS))["correct"]
+    made = parse_command("collect", [*corrected.command[2:], *corrected.non_key_options])
+    assert (made.trials, made.late_starts) == (3, 0.5)
     before = steps()
     assert (found["collect"], found["train"]) == (before[COLLECT], before[TRAIN]), "they are those without a round"
     first = found["correct"]
@@ -357,6 +366,7 @@ def test_keys_of_policies_without_training_follow_all_versions() -> None:
 
 def test_keys_follow_the_cell() -> None:
     assert changed_kinds(which=cell(seed=1001)) == EVERYTHING, "each training has its own demonstrations"
+    assert changed_kinds(declaration=with_scale(seeds=[0, 1000]), which=cell(seed=0)) == TRAINING, "seed 0 may be first"
     assert changed_kinds(which=cell(objects="unseen")) == TEST
     assert changed_kinds(which=cell(category="bottle")) == EVERYTHING
 

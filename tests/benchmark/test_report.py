@@ -20,7 +20,7 @@ from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report, within
 from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
-from lerobot_adamanip.evaluation.metrics import pool
+from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.provenance import machine_text
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import ResultFile, parse_result, read_result, read_results, write_result
@@ -94,9 +94,12 @@ def test_trainings_are_counted_together_and_categories_equally(cells: Path) -> N
     assert mean == pytest.approx(sum(one.rate or 0.0 for one in rates) / 2)
     assert (report.trainings("ours", "seen"), report.trainings("ours", "unseen")) == ("1 to 2", "2")
     assert means(benchmark_page(report))["Ours, seen"]["opened"] == f"{100 * (mean or 0.0):.1f} %"
+    shown = ("opened", "within", "wasted tries", "repeated")
+    assert "-" not in [means(benchmark_page(report))["Ours, seen"][title] for title in shown]
     (cells / "ours-safe-seen-1.json").unlink()
     assert report_of(cells).mean("ours", "seen") is None
-    assert means(benchmark_page(report_of(cells)))["Ours, seen"]["opened"] == "-", "a mean of one category is none"
+    row = means(benchmark_page(report_of(cells)))["Ours, seen"]
+    assert [row[title] for title in shown] == ["-"] * 4, "a mean of one category is none"
 
 
 def test_the_summary_has_the_methods_with_all_categories(cells: Path) -> None:
@@ -156,6 +159,33 @@ def test_methods_are_compared_in_the_scenes_and_trainings_that_both_have(cells: 
     for each in cells.iterdir():
         change(each, row={"scene_outcomes": ""})
     assert DIFFERENCES not in benchmark_page(report_of(cells))
+
+
+def test_a_method_without_training_is_compared_with_each_training(cells: Path) -> None:
+    for path in cells.glob("*-*-seen-*.json"):
+        opened = 5 if path.stem.startswith("untrained") else 4 if path.stem.endswith("-1") else 1
+        outcomes = "2" * opened + "0" * (5 - opened)
+        metrics = Metrics(rate(opened, 5), rate(opened, 5))
+        change(path, row={"scene_outcomes": outcomes, "scene_tries": "", "metrics": metrics})
+    gap = report_of(cells).paired(("ours", "untrained"), ("bottle", "safe"), "seen", "1")
+    assert gap is not None
+    assert gap.by_training == pytest.approx({1: -0.2, 2: -0.8})
+    assert gap.difference == pytest.approx(-0.5), "the difference of the means: 50 % less 100 %"
+    other = report_of(cells).paired(("untrained", "untrained"), ("bottle", "safe"), "seen", "1")
+    assert other is not None
+    assert tuple(other.by_training) == (1,), "one result is not several trainings"
+
+
+def test_episodes_that_play_one_scene_are_one_scene_of_a_difference(cells: Path) -> None:
+    both = (("ours", "ours_on_static"), ("bottle", "safe"), "seen", "1")
+    once = report_of(cells).paired(*both)
+    for path in cells.glob("*-seen-*.json"):
+        result = read_result(path)
+        metrics, row = pool([result.rows[0].metrics] * 3), result.rows[0]
+        outcomes = "".join(3 * digit for digit in row.scene_outcomes)
+        changes = {"scene_outcomes": outcomes, "scene_tries": "", "metrics": metrics}
+        change(path, row=changes, command=f"{result.command} --env.repeats=3")
+    assert report_of(cells).paired(*both) == once
 
 
 def test_the_curve_over_failed_tries_rises_to_the_success(cells: Path) -> None:

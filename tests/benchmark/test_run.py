@@ -316,6 +316,42 @@ def test_a_log_of_another_version_or_too_few_episodes_is_no_result(tmp_path: Pat
     assert states[0].result.rows[0].metrics.success.episodes == 4, "a method's own options win"
 
 
+def test_a_checkpoint_is_of_the_declared_revision(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    refs, root = tmp_path / "hub" / "models--me--act-safe" / "refs", tmp_path / "out"
+    monkeypatch.setattr("huggingface_hub.constants.HF_HUB_CACHE", str(tmp_path / "hub"))
+    refs.mkdir(parents=True)
+    (root / "me" / "act-safe").mkdir(parents=True)
+    (root / "me" / "act-safe" / "model").write_text("weights")
+
+    def run_at(revision: str) -> list[str]:
+        given = {"title": "Given", "policy": "act", "checkpoint": "me/act-{category}", "revision": revision}
+        made = benchmark(root, FakeRunner(tmp_path), declared(reference="given", methods={"given": given}))
+        return sorted({f"{each.state} {each.reason}".strip() for each in run_all(made)})
+
+    (failure,) = run_at("a" * 40)
+    assert "main's, no commit in the Hub cache" in failure
+    (refs / "main").write_text("a" * 40)
+    assert run_at("a" * 40) == ["done"]
+    (failure,) = run_at("v1.0")
+    assert f"main's, {'a' * 40} in the Hub cache, not of v1.0" in failure
+    (refs / "v1.0").write_text("a" * 40)
+    assert run_at("v1.0") == ["done"]
+    command = read_result(root / "cells" / "given-safe-seen-1000.json").command
+    assert "--policy.pretrained_revision=v1.0" in command
+
+
+def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> None:
+    root, runner = tmp_path / "out", FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
+    before, called = results(root), len(runner.called)
+    result = root / "cells" / "untrained-safe-seen-1000.json"
+    log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:3]))
+    result.unlink()
+    assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
+    assert (results(root), len(runner.called)) == (before, called + 1)
+
+
 # Programs ---------------------------------------------------------------------------------------------------------
 
 

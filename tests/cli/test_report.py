@@ -53,6 +53,25 @@ def by_name(groups: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
     return {group["name"]: group for group in groups}
 
 
+@pytest.mark.parametrize(
+    ("options", "changes", "message"),
+    [
+        (["--title", "x|y"], {}, "title is 'x|y'"),
+        ([], {"run_label": "x|y"}, "without |"),
+        ([], {"seed": 5_000_000}, "split None"),
+    ],
+)
+def test_values_that_make_no_result_are_one_message(
+    options: list[str], changes: dict[str, Any], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    records = [record(seed=1, run_id="a" * 12), record(**{"seed": 2, "run_id": "b" * 12, **changes})]
+    (tmp_path / "log.jsonl").write_text("".join(json.dumps(one.to_json()) + "\n" for one in records))
+    command = ["report", str(tmp_path / "log.jsonl"), "--out", str(tmp_path / "r.json"), "--command", "x", *options]
+    assert cli.main(command) == 2
+    assert message in capsys.readouterr().err
+    assert not (tmp_path / "r.json").exists()
+
+
 def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     said = report(capsys, *logs)
     assert set(said) == {"evaluations", "differences", "extra_tries", "warnings", "out"}

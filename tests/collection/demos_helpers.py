@@ -13,6 +13,7 @@ from typing import Any
 
 import demos_fake_env
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.collection.collect import CollectOptions
@@ -68,10 +69,12 @@ def same_bytes(first: Path, second: Path) -> None:
 
 
 def another(root: Path, copy: Path) -> Path:
-    """Copies a dataset so that it counts as another one: the same rows, and metadata that are written otherwise."""
+    """Copies a dataset so that it counts as another one: the same rows, with seeds of other scenes."""
     shutil.copytree(root, copy)
-    info = copy / "meta" / "info.json"
-    info.write_text(json.dumps(json.loads(info.read_text()), indent=1))
+    for path in (copy / "meta" / "episodes").glob("*/*.parquet"):
+        table = pq.read_table(path)
+        place = table.column_names.index("seed")
+        pq.write_table(table.set_column(place, table.field(place), pc.add(table["seed"], 1)), path)
     return copy
 
 

@@ -210,6 +210,21 @@ def test_a_policy_at_control_rate_says_how_it_is_evaluated(project_root: Path) -
     assert "--env.control" not in key_frames
 
 
+def test_a_card_names_the_scenes_of_its_policy() -> None:
+    scenes = {"mechanism_rules": "row", "poses": "fixed", "hints": 0.5, "max_failed_tries": "best"}
+    unnamed = {"num_points": 1024, "max_failed_tries": None, "episode_length": 45, "hints": 0.0, "poses": "randomized"}
+
+    def command(env: dict[str, object]) -> str:
+        training = {"env": {"type": "adamanip_safe", **unnamed, **env}}
+        text = model_card(Checkpoint({"type": "dp3_adaptive"}, training, 1), "someone/policy")
+        return next(line for line in text.splitlines() if line.startswith("lerobot-eval"))
+
+    assert "--env.type=adamanip_safe --env.split=test" in command({})
+    words = command({**scenes, "episode_length": 20}).split()
+    assert {f"--env.{name}={value}" for name, value in scenes.items()} <= set(words)
+    assert "--env.episode_length=20" in words
+
+
 def test_results_of_an_episode_log_need_its_command(
     project_root: Path, tmp_path: Path, refuses: Callable[..., str]
 ) -> None:

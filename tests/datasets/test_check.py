@@ -12,12 +12,12 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from check_damages import ATTEMPTS, CAMERAS, COLLECTION, DATA, INFO, META, STATS, TASKS, VIDEO, Damage
-from demos_helpers import another
 from sound_demos import collect_sound, make_sound_env
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.collection.replay import check_replays
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.datasets import editing
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.findings import KINDS, MOST_OF_A_KIND, Report, Rows
 from lerobot_adamanip.datasets.check.statistics import check_episode_statistics
@@ -148,11 +148,18 @@ def test_a_damage_alone_is_found_and_placed_and_what_a_repair_mends_is_clean(cop
     assert contents(copy) == before
 
 
-def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(published: Path, tmp_path: Path) -> None:
+def test_a_merged_dataset_is_clean_unless_an_episode_is_there_twice(
+    published: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     one, other = published, collect_sound(tmp_path / "1", seed=1)
     merge([one, other], tmp_path / "both")
     assert check(tmp_path / "both").findings == []
-    merge([one, another(one, tmp_path / "again")], tmp_path / "twice")
+    monkeypatch.setattr(editing, "_require_each_once", lambda sources: None)
+    again = Path(shutil.copytree(one, tmp_path / "again"))
+    (again / "meta" / "info.json").write_text(
+        json.dumps(json.loads((one / "meta" / "info.json").read_text()), indent=1)
+    )
+    merge([one, again], tmp_path / "twice")
     found = check(tmp_path / "twice").findings
     assert {(each.kind, each.episode) for each in found} == {("facts", number) for number in range(6, 12)}
 

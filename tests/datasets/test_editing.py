@@ -8,6 +8,7 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from demos_helpers import another
@@ -161,7 +162,7 @@ def test_datasets_come_one_after_another(finished: Path, tmp_path: Path, capsys:
         shift = {"index": count, "episode_index": 6}.get(name, 0)
         np.testing.assert_array_equal(both[name][:count], values, err_msg=name)
         np.testing.assert_array_equal(both[name][count:], values + shift if shift else values, err_msg=name)
-    kept = ["object_id", "seed", "hidden_state", "success", "start", "versions"]
+    kept = ["object_id", "hidden_state", "success", "start", "versions"]
     one, two = (Dataset(root).table.select(kept).to_pylist() for root in (finished, tmp_path / "both"))
     assert two == 2 * one
     # What differs between them is told where they agree.
@@ -175,6 +176,7 @@ def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(
     filter_episodes(unpictured, ["episode_index=1:3"], tmp_path / "part")
     filter_episodes(unpictured, ["episode_index=2:6"], tmp_path / "high")
     third = another(unpictured, tmp_path / "third")
+    merge([unpictured, third], tmp_path / "merged")
     for parts, said in (
         ([finished], "nothing to merge"),
         ([finished, tmp_path / "none"], "none"),
@@ -182,10 +184,26 @@ def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(
         ([finished, unpictured], r"different features(.|\n)*images\.front(.|\n)*adamanip render"),
         ([third, tmp_path / "part", unpictured], r"share episodes(.|\n)*2 of them: 1, 2 "),
         ([tmp_path / "part", tmp_path / "high"], r"share episodes(.|\n)*1 of them: 2 "),
+        ([tmp_path / "merged", unpictured], r"share episodes(.|\n)*6 of them: \d+, .*\(seeds\)"),
+        ([tmp_path / "merged", tmp_path / "part"], r"share episodes(.|\n)*2 of them: .*\(seeds\)"),
     ):
         with pytest.raises(AdaManipError, match=said):
             merge(parts, tmp_path / "new")
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["high", "part", "third"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["high", "merged", "part", "third"]
+
+
+@pytest.mark.parametrize("driver", ["static", "dp3_adaptive"])
+def test_episodes_of_other_drivers_in_the_same_scenes_are_others(unpictured: Path, tmp_path: Path, driver: str) -> None:
+    """Two rounds of corrections may even be equal, where the expert has driven all key frames."""
+    other = Path(shutil.copytree(unpictured, tmp_path / "other"))
+    for path in (other / "meta" / "episodes").glob("*/*.parquet"):
+        table = pq.read_table(path)
+        place = table.column_names.index("expert")
+        pq.write_table(table.set_column(place, table.field(place), pa.array([driver] * len(table))), path)
+    assert merge([unpictured, other], tmp_path / "both").episodes == 12
+    if driver == "dp3_adaptive":  # the second round
+        merge([other, unpictured], tmp_path / "again")
+        assert merge([tmp_path / "again", other], tmp_path / "rounds").episodes == 18
 
 
 def test_a_lerobot_with_another_writer_is_refused(

@@ -69,6 +69,15 @@ def test_equal_seeds_of_several_categories_are_one_scene() -> None:
     assert once.low < twice.low < twice.high < once.high
 
 
+def test_episodes_in_a_row_that_play_one_scene_are_one_scene() -> None:
+    pairs = [("22010", "20001"), ("11100", "01010")]
+    thrice = [tuple("".join(3 * digit for digit in digits) for digits in pair) for pair in pairs]
+    once = paired_difference({1: pairs}, OPENED)
+    assert paired_difference({1: thrice}, OPENED, repeats=3) == once  # type: ignore[list-item]
+    narrow = paired_difference({1: thrice}, OPENED)  # type: ignore[list-item]
+    assert narrow.high - narrow.low < once.high - once.low
+
+
 def test_a_small_difference_over_many_categories_is_seen() -> None:
     """Each category has other scenes in which the first policy alone succeeds, two of a hundred."""
     second = ["2" * (98 - 10 * each) + "00" + "2" * (10 * each) for each in range(9)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from lerobot_adamanip.cli import calibrate
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract.rotations import angle_between, matrix_from_rotation_vector, pose_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
@@ -223,6 +225,21 @@ def test_the_printed_board_is_the_one_that_is_looked_for(tmp_path: Path) -> None
     assert picture.width == pytest.approx((7 + 1) * 0.03 / 0.0254 * 300, abs=9)
     small = np.asarray(picture.resize((picture.width // 4, picture.height // 4)), np.uint8)
     assert len(Board(square=0.03, marker=0.022).detect(small)[0]) == 24
+
+
+def test_the_printed_board_is_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "board.png"
+    assert main(["calibrate", "--board-image", str(path), "--square", "0.03", "--marker", "0.022", "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["board_image"], told["columns"], told["rows"], told["square"]) == (str(path), 7, 5, 0.03)
+    assert told["size_mm"] == pytest.approx([210, 150])
+
+
+def test_the_prompt_is_not_on_stdout(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n q\n"))
+    assert [calibrate._wants_picture() for _ in range(2)] == [True, False]
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err.count("Enter takes a picture")) == ("", 2)
 
 
 def test_pictures_without_the_board_are_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

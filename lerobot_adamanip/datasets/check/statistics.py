@@ -14,14 +14,13 @@ from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.check.features import contract_of
 from lerobot_adamanip.datasets.check.findings import Report, Rows
 from lerobot_adamanip.datasets.dataset import MAX_STATISTICS_BYTES, STATS, Dataset
+from lerobot_adamanip.datasets.encoding import PLACE
 from lerobot_adamanip.datasets.pose_statistics import unscaled_poses
 from lerobot_adamanip.datasets.statistics import QUANTILES, row_statistics
 from lerobot_adamanip.util.arrow import numeric_array
 from lerobot_adamanip.util.errors import listed
 from lerobot_adamanip.util.json_fields import read
 
-OF_PLACE = ("index", "episode_index", "task_index")
-"""Columns whose statistics are unused; LeRobot's merging does not update them."""
 NEEDED = frozenset(("min", "max", "mean", "std", "count"))
 _BINS = 5000
 """Number of bins of the histogram from which LeRobot takes quantiles."""
@@ -64,7 +63,7 @@ def check_episode_statistics(
         wrong = []
         for key, values in columns.items():
             recorded_stats = {name: each[row_of[number]] for name, each in stored.get(key, {}).items()}
-            if key in OF_PLACE:
+            if key in PLACE:  # LeRobot's merging does not update their statistics
                 continue
             if not set(recorded_stats) >= NEEDED:
                 wrong += [f"none of {key}"] if key in ours and key != POINT_CLOUD else []
@@ -179,7 +178,7 @@ def check_statistics(dataset: Dataset, stored: Stored, report: Report) -> None:
         return  # `read_rows` reports the file
     fixed = unscaled_poses(true, dataset.features)
     ours, wrong, averaged = contract_of(dataset.features), list[str](), list[str]()
-    for key in sorted(true.keys() - set(OF_PLACE)):
+    for key in sorted(true.keys() - set(PLACE)):
         if key not in written:
             if key in ours:
                 (averaged if key == POINT_CLOUD else wrong).append(f"none of {key}")
