@@ -94,7 +94,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
         """Loads strictly, and refuses other values of options that change what weights see, but not their shapes."""
         folder = Path(model_file).parent
-        saved = json_fields.read(folder / "config.json")
+        path = folder / "config.json"  # absent for weights of another revision than the configuration's, on the Hub
+        saved = json_fields.read(path) if path.is_file() else {}
         for name in SEEN_IN_TRAINING:
             if name in saved and saved[name] != getattr(model.config, name):
                 raise ConfigurationError(
