@@ -286,6 +286,19 @@ def test_wanting_never_waits_only_the_newest_is_carried_out_and_the_fingers_are_
     assert gripper.opening == 1.0
 
 
+def test_a_wish_during_a_command_that_undoes_it_is_carried_out(gripper: GripperThread, hand: SlowHand) -> None:
+    """No further target comes."""
+    gripper.want(1.0)
+    hand.go_on.clear()
+    gripper.want(0.0)
+    until(lambda: hand.told == ["close"])
+    gripper.want(1.0)
+    hand.go_on.set()
+    until(lambda: hand.told == ["close", "open"])
+    until(lambda: not gripper.busy)
+    assert gripper.opening == 1.0
+
+
 def test_the_first_wish_is_carried_out_unless_fingers_are_wide_open() -> None:
     """Fingers that are closed may not hold: they are told to."""
     for opening, wanted, told in ((1.0, 1.0, []), (0.5, 1.0, ["open"]), (0.0, 0.0, ["close"]), (0.5, 0.5, [])):
