@@ -80,12 +80,15 @@ def test_only_the_hands_tool_frame_is_taken() -> None:
             check_tool_frame(in_flange(z, degrees))
 
 
-def test_a_wrong_tool_frame_is_refused_before_anything_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("gripper", [False, True])  # the hand must be mounted, commanded or not
+def test_a_wrong_tool_frame_is_refused_before_anything_is_written(
+    monkeypatch: pytest.MonkeyPatch, gripper: bool
+) -> None:
     arm = SimpleNamespace(state=in_flange(0.0, 0.0))  # any other attribute is an error
     monkeypatch.setattr(franky, "import_franky", SimpleNamespace)
     monkeypatch.setattr(franky, "connect_robot", lambda *_: arm)
     with pytest.raises(RobotError, match="not the Franka Hand"):
-        franky.FrankyBackend(FrankyOptions(**VALUES)).connect()
+        franky.FrankyBackend(FrankyOptions(**VALUES, gripper=gripper)).connect()
 
 
 def test_an_arm_outside_the_models_range_is_another_arm() -> None:
