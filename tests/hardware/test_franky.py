@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
-from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode
 from lerobot_adamanip.hardware.backends import franky
 from lerobot_adamanip.hardware.backends.franky import OutcomeWatch
@@ -204,6 +204,26 @@ def test_a_motion_without_end_is_given_up() -> None:
     looking = watch(time_limit=2.0)
     assert looking.look(behind(0.01), behind(0.01), running=True, speed=0.1, now=1.99) is None
     assert looking.look(behind(0.01), behind(0.01), running=True, speed=0.1, now=2.01) is Outcome.TIMEOUT
+
+
+def test_a_slow_motion_has_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 rad at 1 % of 2.5 rad/s takes 40 s."""
+    limits: list[float] = []
+    monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: limits.append(values[3]))
+    for dynamics in (0.01, 1.0):
+        backend = franky.FrankyBackend(FrankyOptions(**VALUES, dynamics=dynamics))
+        pose = SimpleNamespace(matrix=np.eye(4))
+        backend._state = state(O_T_EE=pose, O_T_EE_d=pose)
+        backend._franky = SimpleNamespace(
+            Affine=np.array, CartesianWaypoint=np.array, CartesianWaypointMotion=lambda *_, **__: None,
+            ControlException=OSError, NetworkException=OSError,
+        )  # fmt: skip
+        backend._robot = SimpleNamespace(move=lambda *_, **__: None)
+        backend.begin_keyframe(
+            SimpleNamespace(pose=pose_vector(transform((0, 0, 0), rotation_about((0, 0, 1), 1.0)), 1.0))
+        )  # type: ignore[arg-type]
+    assert limits[0] > 40.0
+    assert limits[1] == franky.KEYFRAME_S
 
 
 class SlowHand:
