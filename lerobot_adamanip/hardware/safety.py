@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import product
 
@@ -190,39 +189,39 @@ class SafetyFilter:
         Raises:
             RobotError: `anchor` was not called, or `MAX_REFUSED` malformed targets came in a row.
         """
-        return self._accept(target, lambda goal: self._limited(goal, tcp_in_base, dt), tcp_in_base)
+        goal = self._checked(target)
+        self._last = self.origin(tcp_in_base) if goal is None else self._limited(goal, tcp_in_base, dt)
+        return self._last.copy()
 
     def keyframe(self, target: NDArray[np.generic], tcp_in_base: Array) -> list[Target]:
-        """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame.
+        """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame. Empty if malformed.
 
         Between two targets all corners of the hand stay in the box, if it starts inside. So the hand turns where it has
         room, with the gripper as it was. For arguments and errors see `stream`.
         """
         start = TargetPose.at(tcp_in_base, float(self.origin(tcp_in_base)[GRIPPER_DIM]))
-        end = self._accept(target, lambda goal: self.limits.into_box(TargetPose.of(goal)).target, tcp_in_base)
+        if (checked := self._checked(target)) is None:
+            return []
+        self._last = end = self.limits.into_box(TargetPose.of(checked)).target
         goal = TargetPose.of(end)
         box = self.limits.turning_box(start.rotation, goal.rotation)
         leaving, arriving = start.into_box(*box), goal.into_box(*box)
         arriving = arriving.moved_to(arriving.position, start.gripper)
         stops = [stop.target for stop, side in ((leaving, start), (arriving, goal)) if stop.distance(side) > ROUNDING]
-        return [*stops, end]
+        return [*stops, end.copy()]
 
-    def _accept(self, target: NDArray[np.generic], limit: Callable[[Target], Target], tcp_in_base: Array) -> Target:
+    def _checked(self, target: NDArray[np.generic]) -> Target | None:
+        """Returns the canonical target; None if malformed. Raises `RobotError` after `MAX_REFUSED` in a row."""
         goal = canonical(target)
-        if goal is None:
-            self.refused += 1
-            if self.refused >= MAX_REFUSED:
-                raise RobotError(
-                    f"{self.refused} malformed targets in a row.",
-                    got=np.asarray(target).tolist(),
-                    allowed="(10,) finite numbers: position [m], rotation 6D, gripper",
-                    hint="check that this is the right device or policy",
-                )
-            self._last = self.origin(tcp_in_base)
-        else:
-            self.refused = 0
-            self._last = limit(goal)
-        return self._last.copy()
+        self.refused = self.refused + 1 if goal is None else 0
+        if self.refused >= MAX_REFUSED:
+            raise RobotError(
+                f"{self.refused} malformed targets in a row.",
+                got=np.asarray(target).tolist(),
+                allowed="(10,) finite numbers: position [m], rotation 6D, gripper",
+                hint="check that this is the right device or policy",
+            )
+        return goal
 
     # Geometry --------------------------------------------------------------------------------------------------------
 

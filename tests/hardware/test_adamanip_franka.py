@@ -362,6 +362,14 @@ def test_a_detour_that_is_blocked_ends_the_key_frame(driver: MotionDriver, arm: 
     assert session.reading.outcome is Outcome.STALLED
 
 
+def test_a_malformed_action_after_a_stall_sends_nothing(driver: MotionDriver, arm: Arm) -> None:
+    arm.outcomes = [Outcome.STALLED]
+    goal = pose_vector(transform(START[:3, 3] + (0.15, 0.0, 0.0), START[:3, :3]), 0.0)
+    last = driver.send(goal, reading(arm.at, None))
+    assert driver.send(np.full(10, np.nan, np.float32), reading(arm.at, None)).tobytes() == last.tobytes()
+    assert len(arm.sent) == 1
+
+
 closed: list[str] = []
 
 

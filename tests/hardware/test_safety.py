@@ -103,6 +103,16 @@ def test_a_malformed_target_keeps_the_last_and_ten_are_an_error(anchored: Safety
         anchored.stream(wrong, START, DT)
 
 
+def test_a_malformed_key_frame_is_no_motion_and_ten_are_an_error(anchored: SafetyFilter) -> None:
+    (goal,) = anchored.keyframe(ahead(0.15), START)  # the arm stalls at once
+    for _ in range(MAX_REFUSED - 1):
+        assert anchored.keyframe(np.full(10, np.nan), START) == []
+        assert anchored.last is not None
+        assert anchored.last.tobytes() == goal.tobytes()
+    with pytest.raises(RobotError, match="10 malformed targets in a row"):
+        anchored.keyframe(np.full(10, np.nan), START)
+
+
 def test_a_key_frame_goes_as_far_as_the_box(anchored: SafetyFilter) -> None:
     (out,) = anchored.keyframe(ahead(0.15, 0.2), START)
     assert (out == ahead(0.15, 0.2)).all()

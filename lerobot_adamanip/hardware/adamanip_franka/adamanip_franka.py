@@ -106,9 +106,10 @@ class MotionDriver:
 
     def _send_keyframe(self, target: Target, reading: ArmReading) -> Target:
         """Executes one motion to its end. Skips a repeated goal: a paused rollout resends its last action."""
-        last = self._filter.last
-        if self._last_request == target.tobytes() and last is not None:
-            return last
+        sent = self._session.sent
+        assert sent is not None, "connecting anchors the filter"
+        if self._last_request == target.tobytes():
+            return sent
         for sent in self._filter.keyframe(target, reading.tcp_in_base):
             self._session.sent = sent
             end = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._motion_time)
