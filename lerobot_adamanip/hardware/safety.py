@@ -25,12 +25,14 @@ Corner = tuple[float, float, float]
 
 HAND_CORNERS = np.array(
     [
-        *product((-0.016, 0.016), (-0.103, 0.103), (-0.103, -0.047)),  # the hand's body
-        *product((-0.011, 0.011), (-0.053, 0.053), (0.009,)),  # the fingers, open, their tips
+        *product((-0.021, 0.021), (-0.104, 0.104), (-0.130, -0.037)),  # body and plug
+        *product((-0.032, 0.032), (-0.032, 0.032), (-0.114, -0.097)),  # flange
+        *product((-0.028, 0.028), (-0.032, 0.089), (-0.112, -0.097)),  # wedge beside the flange
+        *product((-0.011, 0.011), (-0.057, 0.057), (0.009,)),  # tips of the open fingers
     ]
 )
-"""(12, 3) corners of Franka's hand in the tool frame [m]: z is the approach, y the closing direction of the fingers.
-The body ends at the flange, 103 mm above the tool centre point. Open fingers reach 9 mm below it."""
+"""(28, 3) corners of Franka's hand in the tool frame [m]: z is the approach, y the closing direction of the fingers.
+Their convex hull contains the hand's collision mesh and `calibration.hand_shape.franka_hand` without the last link."""
 MAX_REACH_M = float(np.linalg.norm(HAND_CORNERS, axis=-1).max())
 """Distance of the farthest corner from the tool centre point [m]."""
 TURN_STEP_RAD = 0.05
