@@ -237,11 +237,11 @@ class AdamanipFranka(Robot):
         Raises:
             RobotError: already connected, the arm or a camera does not answer, or the hand is outside the box.
             ConfigurationError: a required option is missing, a camera cannot be used, or the policy of this command
-                needs the other execution mode.
+                needs the other execution mode or sends deltas more than once.
         """
         if self._client is not None:
             raise RobotError(f"{self} is connected already.")
-        check_caller(self.config)
+        check_caller(self.config, self.interface.action)
         adopt_training_rate(self.config)
         check_cameras(self.cameras, key_frames=self.config.execution == Execution.KEYFRAME)
         limits = self._safety_limits()
