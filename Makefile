@@ -40,12 +40,13 @@ test: pictures  ## all tests but the nightly ones: under ten minutes on two core
 	$(PYTEST) -m "not nightly"
 
 # Laws that need no process, no simulator and no dataset.
-QUICK := tests/test_architecture.py tests/test_golden.py tests/contract tests/evaluation tests/experts tests/mechanisms
+QUICK := tests/test_architecture.py tests/test_golden.py tests/test_schema.py tests/test_seeds.py tests/test_rotations.py \
+	tests/test_pointcloud.py tests/test_versions.py tests/evaluation tests/experts tests/mechanisms
 quick: .venv/.installed  ## format, lint, types, layers, and laws that need no process: under 90 seconds
 	$(MAKE) --no-print-directory -j2 check quick-tests
 
 quick-tests: .venv/.installed
-	$(PYTEST) -m "not nightly and not sim" $(wildcard $(QUICK))
+	$(PYTEST) -m "not nightly and not sim" $(QUICK)
 
 LEROBOT ?= main
 lerobot: .venv/.installed  ## tests without the simulator against another LeRobot: `make lerobot LEROBOT=main`, or a release

@@ -227,3 +227,10 @@ def test_files_and_functions_stay_short() -> None:
     text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
     assert f"under {MAX_FILE_LINES} lines" in text
     assert f"functions under {MAX_FUNCTION_LINES}" in text
+
+
+def test_quick_tests_exist() -> None:
+    match = re.search(r"^QUICK := ((?:.*\\\n)*.*)$", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
+    assert match is not None
+    names = match[1].replace("\\\n", " ").split()
+    assert [name for name in names if not (ROOT / name).exists()] == []

@@ -53,13 +53,38 @@ def lerobot_config(words: list[str]) -> tuple[type, list[str]]:
     """The configuration class of a LeRobot command, and its arguments less those that need a checkpoint on disk."""
     from lerobot.configs.eval import EvalPipelineConfig
     from lerobot.configs.train import TrainPipelineConfig
+    from lerobot.rollout.configs import RolloutConfig
+    from lerobot.scripts import lerobot_record, lerobot_replay, lerobot_teleoperate
 
-    kinds: dict[str, type] = {"lerobot-train": TrainPipelineConfig, "lerobot-eval": EvalPipelineConfig}
+    kinds: dict[str, type] = {
+        "lerobot-train": TrainPipelineConfig,
+        "lerobot-eval": EvalPipelineConfig,
+        "lerobot-record": lerobot_record.RecordConfig,
+        "lerobot-replay": lerobot_replay.ReplayConfig,
+        "lerobot-rollout": RolloutConfig,
+        "lerobot-teleoperate": lerobot_teleoperate.TeleoperateConfig,
+    }
     if words[0] == "accelerate":
         words = ["lerobot-train", *words[words.index("$(which lerobot-train)") + 1 :]]
     files = ("--policy.path=", "--config_path=")
     known = [f"--policy.type={kind}" for path, kind in CHECKPOINTS.items() if f"--policy.path={path}" in words]
     return kinds[words[0]], [*known, *(word for word in words[1:] if not word.startswith(files))]
+
+
+ROBOTS = ("lerobot-record", "lerobot-replay", "lerobot-rollout", "lerobot-teleoperate")
+
+
+@pytest.mark.parametrize("words", commands(ROBOTS))
+def test_robot_commands_parse(words: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    import draccus
+
+    import lerobot_env_adamanip  # noqa: F401  (as LeRobot does with every installed plugin)
+
+    kind, arguments = lerobot_config(words)
+    if words[0] == "lerobot-rollout":  # its policy is a checkpoint on disk
+        monkeypatch.setattr(kind, "__post_init__", lambda _: None)
+    robot = draccus.parse(config_class=kind, args=arguments).robot
+    assert f"--robot.type={robot.type}" in words
 
 
 @pytest.mark.parametrize("words", [*commands("lerobot-train"), *commands("lerobot-eval"), *commands("accelerate")])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from itertools import product
 
@@ -26,12 +25,14 @@ Corner = tuple[float, float, float]
 
 HAND_CORNERS = np.array(
     [
-        *product((-0.016, 0.016), (-0.103, 0.103), (-0.103, -0.047)),  # the hand's body
-        *product((-0.011, 0.011), (-0.053, 0.053), (0.009,)),  # the fingers, open, their tips
+        *product((-0.021, 0.021), (-0.104, 0.104), (-0.130, -0.037)),  # body and plug
+        *product((-0.032, 0.032), (-0.032, 0.032), (-0.114, -0.097)),  # flange
+        *product((-0.028, 0.028), (-0.032, 0.089), (-0.112, -0.097)),  # wedge beside the flange
+        *product((-0.011, 0.011), (-0.057, 0.057), (0.009,)),  # tips of the open fingers
     ]
 )
-"""(12, 3) corners of Franka's hand in the tool frame [m]: z is the approach, y the closing direction of the fingers.
-The body ends at the flange, 103 mm above the tool centre point. Open fingers reach 9 mm below it."""
+"""(28, 3) corners of Franka's hand in the tool frame [m]: z is the approach, y the closing direction of the fingers.
+Their convex hull contains the hand's collision mesh and `calibration.hand_shape.franka_hand` without the last link."""
 MAX_REACH_M = float(np.linalg.norm(HAND_CORNERS, axis=-1).max())
 """Distance of the farthest corner from the tool centre point [m]."""
 TURN_STEP_RAD = 0.05
@@ -190,39 +191,39 @@ class SafetyFilter:
         Raises:
             RobotError: `anchor` was not called, or `MAX_REFUSED` malformed targets came in a row.
         """
-        return self._accept(target, lambda goal: self._limited(goal, tcp_in_base, dt), tcp_in_base)
+        goal = self._checked(target)
+        self._last = self.origin(tcp_in_base) if goal is None else self._limited(goal, tcp_in_base, dt)
+        return self._last.copy()
 
     def keyframe(self, target: NDArray[np.generic], tcp_in_base: Array) -> list[Target]:
-        """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame.
+        """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame. Empty if malformed.
 
         Between two targets all corners of the hand stay in the box, if it starts inside. So the hand turns where it has
         room, with the gripper as it was. For arguments and errors see `stream`.
         """
         start = TargetPose.at(tcp_in_base, float(self.origin(tcp_in_base)[GRIPPER_DIM]))
-        end = self._accept(target, lambda goal: self.limits.into_box(TargetPose.of(goal)).target, tcp_in_base)
+        if (checked := self._checked(target)) is None:
+            return []
+        self._last = end = self.limits.into_box(TargetPose.of(checked)).target
         goal = TargetPose.of(end)
         box = self.limits.turning_box(start.rotation, goal.rotation)
         leaving, arriving = start.into_box(*box), goal.into_box(*box)
         arriving = arriving.moved_to(arriving.position, start.gripper)
         stops = [stop.target for stop, side in ((leaving, start), (arriving, goal)) if stop.distance(side) > ROUNDING]
-        return [*stops, end]
+        return [*stops, end.copy()]
 
-    def _accept(self, target: NDArray[np.generic], limit: Callable[[Target], Target], tcp_in_base: Array) -> Target:
+    def _checked(self, target: NDArray[np.generic]) -> Target | None:
+        """Returns the canonical target; None if malformed. Raises `RobotError` after `MAX_REFUSED` in a row."""
         goal = canonical(target)
-        if goal is None:
-            self.refused += 1
-            if self.refused >= MAX_REFUSED:
-                raise RobotError(
-                    f"{self.refused} malformed targets in a row.",
-                    got=np.asarray(target).tolist(),
-                    allowed="(10,) finite numbers: position [m], rotation 6D, gripper",
-                    hint="check that this is the right device or policy",
-                )
-            self._last = self.origin(tcp_in_base)
-        else:
-            self.refused = 0
-            self._last = limit(goal)
-        return self._last.copy()
+        self.refused = self.refused + 1 if goal is None else 0
+        if self.refused >= MAX_REFUSED:
+            raise RobotError(
+                f"{self.refused} malformed targets in a row.",
+                got=np.asarray(target).tolist(),
+                allowed="(10,) finite numbers: position [m], rotation 6D, gripper",
+                hint="check that this is the right device or policy",
+            )
+        return goal
 
     # Geometry --------------------------------------------------------------------------------------------------------
 

@@ -5,9 +5,9 @@ Changes:
     ``LeRobotDataset.resume``, which first repairs such a recording. Each episode gets its own files, complete when it
     is saved: rows, videos, its line of ``meta/episodes``, statistics, and last ``meta/info.json``, which counts it. A
     kill in between leaves uncounted files, and `datasets.repair` moves them away. The writer also stores calibrations
-    and safety limits of the connected robot next to its recording, and adds to each row the columns of simulated
-    demonstrations and the arm's reading. ``LeRobotDataset.create`` adds these columns; the recorder's comparison
-    expects them when it resumes.
+    and safety limits of the connected robot next to its recording, refuses to resume with moved cameras, and adds to
+    each row the columns of simulated demonstrations and the arm's reading. ``LeRobotDataset.create`` adds these
+    columns; the recorder's comparison expects them when it resumes.
 Why:
     LeRobot completes its Parquet files when a session ends. It makes all numbers of a robot inputs of policies.
 Without it:
@@ -40,13 +40,14 @@ from lerobot.datasets.dataset_metadata import LeRobotDatasetMetadata
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.datasets.utils import DEFAULT_EPISODES_PATH
+from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.contract.schema import ACTION, DONE, STATE
 from lerobot_adamanip.datasets.opening import former_error
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
-from lerobot_adamanip.hardware.camera_frames import save_calibration
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations, save_calibration
 from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
     SAFETY,
@@ -59,8 +60,11 @@ from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 from lerobot_adamanip.util import files
+from lerobot_adamanip.util.errors import ConfigurationError
 
 INFO = "info.json"
+MAX_MOVED_MM = 5.0
+"""Maximum change of a camera's calibration within one recording, of points 1 m ahead [mm]."""
 RECORDER, COMPARISON = "lerobot.scripts.lerobot_record", "sanity_check_dataset_robot_compatibility"
 _log = logging.getLogger(__name__)
 
@@ -183,9 +187,17 @@ class DurableWriter(DatasetWriter):
         self._lock = contextlib.ExitStack()
         self._lock.enter_context(lock_output(resolve_output(meta.root), optional=True))
         meta.__class__ = DurableMetadata  # the same data, written differently
+        self._has_rows = False
 
     def add_frame(self, frame: dict[str, Any]) -> None:
-        """Like LeRobot's, with the arm's reading that the row was observed with."""
+        """Like LeRobot's, with the arm's reading that the row was observed with.
+
+        Raises:
+            ConfigurationError: a resumed recording has another calibration than the connected robot.
+        """
+        if not self._has_rows:
+            require_same_cameras(self._meta.root)
+            self._has_rows = True
         session = ROBOTS.find()
         row = {} if session is None else session.rows.find(frame[STATE])
         super().add_frame({**{key: value for key, value in row.items() if key in self._meta.features}, **frame})
@@ -253,6 +265,35 @@ def repair_recording(root: Path) -> None:
         return  # LeRobot reports the error
     for line in repair(root).lines():
         _log.warning("%s: %s", root.name, line)
+
+
+def require_same_cameras(root: Path) -> None:
+    """Checks that the connected robot has the recorded camera calibrations: conversion uses them for all episodes.
+
+    Raises:
+        ConfigurationError: a camera differs by more than `MAX_MOVED_MM`.
+    """
+    session, path = ROBOTS.find(), root / CALIBRATIONS
+    if session is None or not path.exists():
+        return
+    recorded = read_calibrations(path)
+    for key in recorded.keys() & session.calibrations.keys():
+        moved = _points_ahead(recorded[key]) - _points_ahead(session.calibrations[key])
+        if (moved_mm := 1e3 * np.linalg.norm(moved, axis=1).max()) > MAX_MOVED_MM:
+            raise ConfigurationError(
+                "This recording cannot be resumed: a camera was calibrated again.",
+                got=f"camera {key}, moved by {moved_mm:.0f} mm at a distance of 1 m; nothing was recorded",
+                allowed=f"the calibration in {path}, within {MAX_MOVED_MM:g} mm",
+                hint="a new --dataset.root without --resume; convert each with adamanip keyframes",
+            )
+
+
+def _points_ahead(camera: CameraCalibration) -> NDArray[np.float64]:
+    """Returns the corners of the picture 1 m ahead (4, 3), base or tool frame [m]."""
+    pose = camera.depth_in_tcp if camera.depth_in_base is None else camera.depth_in_base
+    assert pose is not None
+    pixels = np.array([(x, y, 1.0) for x in (0, camera.depth.width - 1) for y in (0, camera.depth.height - 1)])
+    return np.linalg.solve(camera.depth.matrix, pixels.T).T @ pose[:3, :3].T + pose[:3, 3]
 
 
 def _keep_robot(root: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from lerobot_adamanip.contract.rotations import (
     Array,
@@ -12,11 +13,15 @@ from lerobot_adamanip.contract.rotations import (
     pose_vector,
     transform,
 )
-from lerobot_adamanip.hardware.safety import HAND_CORNERS, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.calibration.hand_shape import franka_hand
+from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
 
 LIMITS = SafetyLimits((0.2, -0.5, 0.0), (0.8, 0.5, 0.7))
 START = transform((0.5, 0.0, 0.35), np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))))
+_SURFACE = franka_hand(last_link=False).at(1.0)[0]
+HAND = _SURFACE[ConvexHull(_SURFACE).vertices]
+"""(N, 3) outermost points of the hand with open fingers, tool frame [m]."""
 KINDS = ("near", "far", "jump", "nan", "infinite", "no_rotation", "rough", "huge", "shape")
 
 
@@ -72,7 +77,7 @@ def broken_laws(filter_: SafetyFilter, target: Target, measured: Array, dt: floa
     step = max(0.0, min(dt, limits.max_dt)) if np.isfinite(dt) else (limits.max_dt if dt > 0 else 0.0)
     # The filter's own words are used for nothing but where the arm is and what is counted from.
     rotation = matrix_from_rotation_6d(out[3:9])
-    points = out[:3].astype(np.float64) + np.vstack((np.zeros(3), HAND_CORNERS)) @ rotation.T
+    points = out[:3].astype(np.float64) + np.vstack((np.zeros(3), HAND)) @ rotation.T
     moved, led = (float(np.linalg.norm(out[:3].astype(np.float64) - place[:3])) for place in (origin, here))
     turned, led_turn = (turn_between(rotation, matrix_from_rotation_6d(place[3:9])) for place in (origin, here))
     laws = {

@@ -27,6 +27,7 @@ from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import Ada
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading, Execution, Served, ServerOptions
 from lerobot_adamanip.hardware.arm_process import server
 from lerobot_adamanip.hardware.arm_process.client import ArmClient
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics, save_calibration
 from lerobot_adamanip.hardware.dense_kinds import encode_action
 from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES
 from lerobot_adamanip.hardware.robot_registry import ROBOTS, RobotSession
@@ -291,6 +292,24 @@ def test_a_file_of_cameras_does_not_pass_for_calibrations_of_motors(
     assert robot.is_calibrated  # no camera with depth
 
 
+@pytest.mark.parametrize(("width", "problem"), [(None, "test.cameras.json"), (16, "8 x 8, calibrated 16 x 8"), (8, "")])
+def test_connecting_warns_once_of_depth_without_a_calibration_that_fits(
+    make: Callable[..., FakeFranka], caplog: pytest.LogCaptureFixture, width: int | None, problem: str
+) -> None:
+    robot = make(depth=True)
+    robot.cameras = {"front": Resource("front")}  # type: ignore[misc]
+    robot.cameras["front"].use_depth = True  # type: ignore[attr-defined]
+    if width is not None:
+        imager = Intrinsics(np.eye(3), np.zeros(0), width, 8)
+        save_calibration(robot.calibration_file, "front", CameraCalibration("front", imager, np.eye(4)))
+    for calibrate in (False, True):
+        robot.connect(calibrate=calibrate)
+        robot.disconnect()
+        warnings = [text for text in caplog.messages if "without a calibration that fits" in text]
+        assert len(warnings) == int(calibrate and problem != "")
+    assert problem in "".join(warnings)
+
+
 class Arm:
     """Is at once where it is sent."""
 
@@ -360,6 +379,14 @@ def test_a_detour_that_is_blocked_ends_the_key_frame(driver: MotionDriver, arm: 
     assert sent.tobytes() == arm.sent[-1][1].tobytes()
     assert session.reading is not None
     assert session.reading.outcome is Outcome.STALLED
+
+
+def test_a_malformed_action_after_a_stall_sends_nothing(driver: MotionDriver, arm: Arm) -> None:
+    arm.outcomes = [Outcome.STALLED]
+    goal = pose_vector(transform(START[:3, 3] + (0.15, 0.0, 0.0), START[:3, :3]), 0.0)
+    last = driver.send(goal, reading(arm.at, None))
+    assert driver.send(np.full(10, np.nan, np.float32), reading(arm.at, None)).tobytes() == last.tobytes()
+    assert len(arm.sent) == 1
 
 
 closed: list[str] = []

@@ -149,10 +149,22 @@ def test_the_stamp_is_the_exposure_not_the_arrival(camera: AdamanipRealsense, de
     frame = camera.frame_after(0.0, 5.0)
     assert frame.arrival >= before
     assert before - 0.2 - 0.02 <= frame.stamp <= before - 0.2 + 0.02
+
+
+def test_a_picture_stamped_with_another_clock_may_be_as_old_as_the_pipeline(
+    camera: AdamanipRealsense, device: FakeDevice, caplog: pytest.LogCaptureFixture
+) -> None:
+    rest = time.perf_counter()
     for age in (3600.0, -3600.0, time.time() - 50.0):  # a clock that was set, one that counts from switching on
         device.push(1000, age=age)
-        frame = camera.frame_after(time.perf_counter() - 0.001, 5.0)
-        assert frame.stamp == frame.arrival
+        frame = camera.frames.next(5.0)
+        assert frame is not None
+        assert frame.stamp == pytest.approx(frame.arrival - 0.1 - 4 / 30)
+    while time.perf_counter() < rest + 0.1 + 4 / 30:
+        time.sleep(0.01)
+    device.push(1000, age=3600.0)
+    assert camera.frame_after(rest, 5.0).number == 4
+    assert sum("not on this computer's clock" in message for message in caplog.messages) == 1
 
 
 def test_half_a_pair_and_a_repeated_exposure_are_dropped(camera: AdamanipRealsense, device: FakeDevice) -> None:

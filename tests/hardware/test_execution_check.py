@@ -109,6 +109,33 @@ def test_teleoperation_and_other_robots_of_the_process_are_free(make: Callable[[
         robot.connect()
 
 
+@pytest.mark.parametrize(
+    "options", [{"strategy": SimpleNamespace(type="dagger")}, {"interpolation_multiplier": 2}], ids=str
+)
+def test_a_rollout_that_sends_deltas_again_is_refused(make: Callable[[str], Any], options: dict[str, Any]) -> None:
+    robot = make("stream")
+    assert robot.interface.action == EE_DELTA
+    with pytest.raises(ConfigurationError, match=r"(?s)each repeated ee_delta.*--robot\.action=ee_pose"):
+        rollout(SimpleNamespace(robot=robot.config, **options), robot)
+    robot.config.action = EE_POSE
+    for absolute in (type(robot)(robot.config), make("keyframe")):
+        with pytest.raises(ReachedError):
+            rollout(SimpleNamespace(robot=absolute.config, **options), absolute)
+
+
+@pytest.mark.parametrize("execution", ["stream", "keyframe"])
+def test_a_policy_that_needs_the_effort_is_refused_at_creation(make: Callable[[str], Any], execution: str) -> None:
+    def create(cfg: Any, robot: Any) -> Any:
+        return type(robot)(cfg.robot)
+
+    robot = make(execution)
+    policy = SimpleNamespace(pretrained_path="x", input_features={schema.STATE: None})
+    create(SimpleNamespace(robot=robot.config, policy=policy), robot)
+    policy.input_features[schema.EFFORT] = None
+    with pytest.raises(ConfigurationError, match=r"(?s)hold no effort.*--policy\.use_effort=false"):
+        create(SimpleNamespace(robot=robot.config, policy=policy), robot)
+
+
 def test_what_cannot_be_known_is_not_refused(tmp_path: Path) -> None:
     assert execution_of_policy(checkpoint(tmp_path, KEY_FRAMES)) is Execution.KEYFRAME
     assert execution_of_policy(checkpoint(tmp_path, TICKS)) is Execution.STREAM

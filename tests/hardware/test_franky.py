@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
-from lerobot_adamanip.contract.rotations import rotation_about, transform
+from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
 from lerobot_adamanip.hardware.arm import ArmMode
 from lerobot_adamanip.hardware.backends import franky
 from lerobot_adamanip.hardware.backends.franky import OutcomeWatch
@@ -80,12 +80,15 @@ def test_only_the_hands_tool_frame_is_taken() -> None:
             check_tool_frame(in_flange(z, degrees))
 
 
-def test_a_wrong_tool_frame_is_refused_before_anything_is_written(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("gripper", [False, True])  # the hand must be mounted, commanded or not
+def test_a_wrong_tool_frame_is_refused_before_anything_is_written(
+    monkeypatch: pytest.MonkeyPatch, gripper: bool
+) -> None:
     arm = SimpleNamespace(state=in_flange(0.0, 0.0))  # any other attribute is an error
     monkeypatch.setattr(franky, "import_franky", SimpleNamespace)
     monkeypatch.setattr(franky, "connect_robot", lambda *_: arm)
     with pytest.raises(RobotError, match="not the Franka Hand"):
-        franky.FrankyBackend(FrankyOptions(**VALUES)).connect()
+        franky.FrankyBackend(FrankyOptions(**VALUES, gripper=gripper)).connect()
 
 
 def test_an_arm_outside_the_models_range_is_another_arm() -> None:
@@ -203,6 +206,26 @@ def test_a_motion_without_end_is_given_up() -> None:
     assert looking.look(behind(0.01), behind(0.01), running=True, speed=0.1, now=2.01) is Outcome.TIMEOUT
 
 
+def test_a_slow_motion_has_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """1 rad at 1 % of 2.5 rad/s takes 40 s."""
+    limits: list[float] = []
+    monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: limits.append(values[3]))
+    for dynamics in (0.01, 1.0):
+        backend = franky.FrankyBackend(FrankyOptions(**VALUES, dynamics=dynamics))
+        pose = SimpleNamespace(matrix=np.eye(4))
+        backend._state = state(O_T_EE=pose, O_T_EE_d=pose)
+        backend._franky = SimpleNamespace(
+            Affine=np.array, CartesianWaypoint=np.array, CartesianWaypointMotion=lambda *_, **__: None,
+            ControlException=OSError, NetworkException=OSError,
+        )  # fmt: skip
+        backend._robot = SimpleNamespace(move=lambda *_, **__: None)
+        backend.begin_keyframe(
+            SimpleNamespace(pose=pose_vector(transform((0, 0, 0), rotation_about((0, 0, 1), 1.0)), 1.0))
+        )  # type: ignore[arg-type]
+    assert limits[0] > 40.0
+    assert limits[1] == franky.KEYFRAME_S
+
+
 class SlowHand:
     """Waits for `go_on`, and writes down what it was told."""
 
@@ -283,6 +306,19 @@ def test_wanting_never_waits_only_the_newest_is_carried_out_and_the_fingers_are_
     hand.go_on.set()
     until(lambda: not gripper.busy)
     assert hand.told == ["close", "open"]
+    assert gripper.opening == 1.0
+
+
+def test_a_wish_during_a_command_that_undoes_it_is_carried_out(gripper: GripperThread, hand: SlowHand) -> None:
+    """No further target comes."""
+    gripper.want(1.0)
+    hand.go_on.clear()
+    gripper.want(0.0)
+    until(lambda: hand.told == ["close"])
+    gripper.want(1.0)
+    hand.go_on.set()
+    until(lambda: hand.told == ["close", "open"])
+    until(lambda: not gripper.busy)
     assert gripper.opening == 1.0
 
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
-from filter_fuzz import LIMITS, START, broken_laws, fuzz
+from filter_fuzz import HAND, LIMITS, START, broken_laws, fuzz
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from scipy.spatial import ConvexHull
 
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, straight_path, transform
-from lerobot_adamanip.hardware.safety import HAND_CORNERS, MAX_REFUSED, SafetyFilter, SafetyLimits
+from lerobot_adamanip.hardware.safety import HAND_CORNERS, MAX_REACH_M, MAX_REFUSED, SafetyFilter, SafetyLimits
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 DT = 1 / 30
@@ -72,7 +74,7 @@ def test_a_wall_of_the_box_is_slid_along(anchored: SafetyFilter) -> None:
     lower, _ = LIMITS.reduced_box(here[:3, :3])
     assert here[2, 3] == pytest.approx(lower[2], abs=1e-5)
     assert here[1, 3] == pytest.approx(0.2, abs=1e-5)
-    assert lower[2] == pytest.approx(0.016)  # half as high as the hand, which lies on its side
+    assert lower[2] == pytest.approx(0.032)  # half as high as the flange of a hand that lies on its side
 
 
 def test_an_arm_that_was_pushed_away_drags_its_target_along(anchored: SafetyFilter) -> None:
@@ -103,6 +105,16 @@ def test_a_malformed_target_keeps_the_last_and_ten_are_an_error(anchored: Safety
         anchored.stream(wrong, START, DT)
 
 
+def test_a_malformed_key_frame_is_no_motion_and_ten_are_an_error(anchored: SafetyFilter) -> None:
+    (goal,) = anchored.keyframe(ahead(0.15), START)  # the arm stalls at once
+    for _ in range(MAX_REFUSED - 1):
+        assert anchored.keyframe(np.full(10, np.nan), START) == []
+        assert anchored.last is not None
+        assert anchored.last.tobytes() == goal.tobytes()
+    with pytest.raises(RobotError, match="10 malformed targets in a row"):
+        anchored.keyframe(np.full(10, np.nan), START)
+
+
 def test_a_key_frame_goes_as_far_as_the_box(anchored: SafetyFilter) -> None:
     (out,) = anchored.keyframe(ahead(0.15, 0.2), START)
     assert (out == ahead(0.15, 0.2)).all()
@@ -130,7 +142,7 @@ def test_the_hand_stays_in_the_box_all_the_way_of_a_key_frame(anchored: SafetyFi
             rotations = straight_path(here, goal, shares)[:, :3, :3]
             for places in (shares, np.sqrt(shares), shares**2):
                 positions = here[:3, 3] + places[:, None] * (goal[:3, 3] - here[:3, 3])
-                corners = positions[:, None] + HAND_CORNERS @ rotations.transpose(0, 2, 1)
+                corners = positions[:, None] + HAND @ rotations.transpose(0, 2, 1)
                 outside = max(outside, float((lower - corners).max()), float((corners - upper).max()))
             here = goal
     assert outside < 1e-6
@@ -151,6 +163,13 @@ def test_a_key_frame_turns_where_there_is_room_with_the_grip_it_had(anchored: Sa
     assert [float(each[9]) for each in (lift, turn, end)] == [0.0, 0.0, 1.0]
     assert anchored.last is not None
     assert anchored.last.tobytes() == end.tobytes()
+
+
+def test_the_corners_contain_the_whole_hand() -> None:
+    planes = ConvexHull(HAND_CORNERS).equations
+    assert (HAND @ planes[:, :3].T + planes[:, 3]).max() <= 0.0
+    page = (Path(__file__).parents[2] / "docs" / "robot.md").read_text(encoding="utf-8")
+    assert f"each side is longer than {2 * MAX_REACH_M:.3f} m" in page
 
 
 def test_a_hand_outside_the_box_is_no_place_to_begin() -> None:

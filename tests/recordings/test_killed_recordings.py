@@ -23,17 +23,27 @@ from recorded_robot import SAVED
 from lerobot_adamanip import lerobot_patches
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import POSE, STATES
+from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.repair import repair
-from lerobot_adamanip.hardware.features import ARM, is_dense, recorded_features
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
+from lerobot_adamanip.hardware.features import ARM, CALIBRATIONS, is_dense, recorded_features
+from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 HERE = Path(__file__).parent
 ENCODINGS = (False, True)
 PATIENCE = 280.0
 WAIT = 0.05
+FEATURES = recorded_features(
+    {
+        schema.STATE: {"dtype": "float32", "shape": (len(STATES[POSE]),), "names": list(STATES[POSE])},
+        schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
+    }
+)
+ROW = {key: np.zeros(feature["shape"], feature["dtype"]) for key, feature in FEATURES.items()}
 
 
 @pytest.fixture(autouse=True)
@@ -211,18 +221,12 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     root = tmp_path / "dense"
-    features = {
-        schema.STATE: {"dtype": "float32", "shape": (len(STATES[POSE]),), "names": list(STATES[POSE])},
-        schema.ACTION: {"dtype": "float32", "shape": (schema.ACTION_DIM,), "names": list(schema.POSE_NAMES)},
-    }
-    features = recorded_features(features)
-    dataset = LeRobotDataset.create("local/dense", 30, features, root=root)
+    dataset = LeRobotDataset.create("local/dense", 30, FEATURES, root=root)
     written: list[Path] = []
     write = files.write_atomically
     monkeypatch.setattr(files, "write_atomically", lambda path, content: (written.append(path), write(path, content)))
     for task in ("open it", "close it"):
-        values = {key: np.zeros(feature["shape"], feature["dtype"]) for key, feature in features.items()}
-        dataset.add_frame({**values, "task": task})
+        dataset.add_frame({**ROW, "task": task})
         dataset.save_episode()
     assert written.count(root / "meta" / "tasks.parquet") == 2
     with pytest.raises(DatasetError, match="Another command is at work"):
@@ -230,3 +234,28 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
     dataset.finalize()
     assert sorted(LeRobotDataset("local/dense", root=root).meta.tasks.index) == ["close it", "open it"]
     assert repair(root).mended == []
+
+
+def test_a_recording_is_not_resumed_with_a_moved_camera(tmp_path: Path) -> None:
+    session, root = ROBOTS.open("arm"), tmp_path / "dense"
+    imager = Intrinsics(np.array([[300.0, 0, 128], [0, 300, 128], [0, 0, 1]]), np.zeros(0), 256, 256)
+
+    def record(dataset: LeRobotDataset, moved_m: float) -> None:
+        pose = transform((0.0, moved_m, 0.0))
+        session.calibrations["front"] = CameraCalibration("front", imager, pose)
+        try:
+            dataset.add_frame({**ROW, "task": "open it"})
+            dataset.save_episode()
+        finally:
+            dataset.finalize()
+
+    try:
+        record(LeRobotDataset.create("local/dense", 30, FEATURES, root=root), 0.0)
+        recorded = (root / CALIBRATIONS).read_bytes()
+        with pytest.raises(ConfigurationError, match=r"(?s)camera front, moved by 10 mm.*a new --dataset\.root"):
+            record(LeRobotDataset.resume("local/dense", root=root), 0.01)
+        record(LeRobotDataset.resume("local/dense", root=root), 0.002)
+    finally:
+        ROBOTS.close("arm")
+    assert LeRobotDataset("local/dense", root=root).num_episodes == 2
+    assert (root / CALIBRATIONS).read_bytes() == recorded

@@ -255,3 +255,16 @@ def test_key_frames_end_with_the_episode_and_so_does_the_command(
     robot.disconnect()
     robot.disconnect()
     assert [json.loads(line)["episode"] for line in log.read_text().splitlines()] == [None]
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_a_stream_ends_the_command_at_success(
+    make: Any, process: FakeProcess, monkeypatch: pytest.MonkeyPatch, ends: bool
+) -> None:
+    raised: list[int] = []
+    monkeypatch.setattr(signal, "raise_signal", raised.append)
+    robot = make(end_when_done=ends)
+    for number in range(6):
+        process.success = number >= 3
+        robot.send_action(action(robot))
+        assert raised == [signal.SIGINT] * (ends and number >= 3)  # once: a second Ctrl-C would abort the shutdown

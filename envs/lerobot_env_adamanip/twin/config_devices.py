@@ -127,7 +127,8 @@ class AdamanipFrankaSimConfig(AdamanipFrankaConfig):
     """Maximum key frames of an episode with execution=keyframe. Actions after that or after success have no effect."""
 
     end_when_done: bool = False
-    """End the command, like Ctrl-C, at the end of such an episode. Otherwise a rollout never ends."""
+    """Whether to end the command, like Ctrl-C, when the task succeeds, or after max_key_frames with execution=keyframe.
+    Otherwise a rollout ends after --duration only, or never."""
 
     box_lower: tuple[float, float, float] | None = (-0.3, -1.0, -0.2)
     """Lowest corner of the box [m, base frame]. It contains all that the arm reaches, since nothing can break."""

@@ -111,16 +111,17 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._session.details[SUCCESS] = self._succeeded()
 
     def send_action(self, action: dict[str, Any]) -> dict[str, float]:
-        """Sends an action. After the end of a key-frame episode it has no effect, see ``max_key_frames``."""
+        """Sends an action. It has no effect after the end of a key-frame episode, or after ``end_when_done``."""
         if self._over:
             return action
         self._moved = True
         sent: dict[str, float] = super().send_action(action)
-        if self.config.execution == "keyframe":
-            self._key_frames += 1
-            self._over = self._succeeded() or self._key_frames >= self.config.max_key_frames
-            if self._over and self.config.end_when_done:
-                signal.raise_signal(signal.SIGINT)
+        is_key_frame, ends = self.config.execution == "keyframe", self.config.end_when_done
+        self._key_frames += is_key_frame
+        is_last = is_key_frame and self._key_frames >= self.config.max_key_frames
+        self._over = (is_key_frame or ends) and (is_last or self._succeeded())
+        if self._over and ends:
+            signal.raise_signal(signal.SIGINT)
         return sent
 
     def _succeeded(self) -> bool:

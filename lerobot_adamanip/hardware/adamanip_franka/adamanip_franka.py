@@ -38,6 +38,7 @@ from lerobot_adamanip.hardware.safety import Corner, SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
+_log = logging.getLogger(__name__)
 FRANKY = "lerobot_adamanip.hardware.backends.franky:serve_franky"
 
 
@@ -106,9 +107,10 @@ class MotionDriver:
 
     def _send_keyframe(self, target: Target, reading: ArmReading) -> Target:
         """Executes one motion to its end. Skips a repeated goal: a paused rollout resends its last action."""
-        last = self._filter.last
-        if self._last_request == target.tobytes() and last is not None:
-            return last
+        sent = self._session.sent
+        assert sent is not None, "connecting anchors the filter"
+        if self._last_request == target.tobytes():
+            return sent
         for sent in self._filter.keyframe(target, reading.tcp_in_base):
             self._session.sent = sent
             end = self._arm.wait(self._arm.send(sent, Execution.KEYFRAME), self._motion_time)
@@ -188,6 +190,20 @@ class AdamanipFranka(Robot):
             )
         self._read_calibrations()
 
+    def _warn_if_uncalibrated(self) -> None:
+        """Warns once if depth cannot become clouds: no calibration, or one of another picture size."""
+        problems = [] if self.is_calibrated else [f"no complete {self.calibration_file}"]
+        for key, calibration in self._session.calibrations.items():
+            camera, depth = self.cameras.get(key), calibration.depth
+            if getattr(camera, "use_depth", False) and (depth.width, depth.height) != (camera.width, camera.height):
+                problems.append(f"{key}: {camera.width} x {camera.height}, calibrated {depth.width} x {depth.height}")
+        if problems:
+            _log.warning(
+                "Depth is recorded without a calibration that fits (%s), so `adamanip keyframes` needs --calibration "
+                "FILE. See docs/robot.md, step 4.",
+                "; ".join(problems),
+            )
+
     def _correct_calibration(self, key: str, depth: NDArray[np.uint16], reading: ArmReading) -> None:
         """Corrects the calibration of a resting camera by the hand in its depth (H, W) [mm]."""
         known = self._session.calibrations.get(key)
@@ -215,14 +231,17 @@ class AdamanipFranka(Robot):
     def connect(self, calibrate: bool = True) -> None:
         """Starts the arm process, then the cameras. The arm does not move.
 
+        Args:
+            calibrate: whether to warn if recorded depth has no calibration that fits.
+
         Raises:
             RobotError: already connected, the arm or a camera does not answer, or the hand is outside the box.
             ConfigurationError: a required option is missing, a camera cannot be used, or the policy of this command
-                needs the other execution mode.
+                needs the other execution mode or sends deltas more than once.
         """
         if self._client is not None:
             raise RobotError(f"{self} is connected already.")
-        check_caller(self.config)
+        check_caller(self.config, self.interface.action)
         adopt_training_rate(self.config)
         check_cameras(self.cameras, key_frames=self.config.execution == Execution.KEYFRAME)
         limits = self._safety_limits()
@@ -232,6 +251,8 @@ class AdamanipFranka(Robot):
             self._open_session(limits, description)
             for camera in self.cameras.values():
                 camera.connect()
+        if calibrate and self.interface.depth:
+            self._warn_if_uncalibrated()
 
     def _open_session(self, limits: SafetyLimits, details: dict[str, Any]) -> None:
         self._connected_at = time.perf_counter()

@@ -63,15 +63,17 @@ class Caller:
         return cls(config, getattr(config, "policy", None), frame.f_locals.get("dataset"))
 
 
-def check_caller(robot: Any) -> None:
-    """Checks the LeRobot command that connects a robot with this configuration.
+def check_caller(robot: Any, action: str) -> None:
+    """Checks the LeRobot command that connects a robot with this configuration and kind of action.
 
     It checks the policy of `lerobot-rollout` and the dataset of `lerobot-replay`. Teleoperation may use either mode.
 
     Raises:
-        ConfigurationError: the command's actions need the other execution mode.
+        ConfigurationError: the command's actions need the other execution mode, or it sends deltas more than once.
     """
     caller = Caller.of(robot)
+    if action == EE_DELTA:
+        _require_deltas_once(caller.config)
     if caller.policy is not None:
         what, needed = f"policy {caller.policy.pretrained_path}", execution_of_policy(caller.policy)
     elif caller.dataset is not None and not hasattr(caller.config, "teleop"):
@@ -79,6 +81,22 @@ def check_caller(robot: Any) -> None:
     else:
         return
     require_execution(needed, Execution(robot.execution), what)
+
+
+def _require_deltas_once(config: Any) -> None:
+    """Raises `ConfigurationError` if a rollout sends an action again: each time, a delta moves the arm farther."""
+    got = []
+    if getattr(getattr(config, "strategy", None), "type", None) == "dagger":
+        got.append("--strategy.type=dagger, whose pause resends the last action at each tick")
+    if (count := getattr(config, "interpolation_multiplier", 1)) > 1:
+        got.append(f"--interpolation_multiplier={count}, which sends {count} actions for one of the policy")
+    if got:
+        raise ConfigurationError(
+            "This rollout would move the arm again with each repeated ee_delta.",
+            got=" and ".join(got),
+            allowed="absolute actions: action=ee_pose, or execution=keyframe",
+            hint="--robot.action=ee_pose with a policy trained on --action ee_pose demonstrations",
+        )
 
 
 def require_execution(needed: Execution | None, execution: Execution | None, what: str) -> None:

@@ -11,7 +11,7 @@ from lerobot.configs import parser
 
 from lerobot_adamanip.contract.cameras import is_image_column
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, EE_POSE, FULL, POSE, STATES
-from lerobot_adamanip.contract.schema import ACTION, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import ACTION, EFFORT, POINT_CLOUD, STATE
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import Caller, rate_of_training
 from lerobot_adamanip.hardware.arm import Execution
 from lerobot_adamanip.hardware.dense_kinds import ARM_ACTIONS
@@ -45,10 +45,18 @@ def interface_of(config: Any) -> Interface:
     A policy's shapes tell its kinds: 7, 8 or 10 numbers of an action, 8 or 24 of a state. Key frames have one kind.
 
     Raises:
-        ConfigurationError: an option contradicts the policy or the execution mode, or the arm lacks the policy's kind.
+        ConfigurationError: an option contradicts the policy or the execution mode, the arm lacks the policy's kind, or
+            the policy needs the effort.
     """
     policy = Caller.of(config).policy
     inputs = dict(getattr(policy, "input_features", None) or {})
+    if EFFORT in inputs:
+        raise ConfigurationError(
+            "The robot's observations hold no effort.",
+            got=f"a policy with the input {EFFORT}",
+            allowed="policies without it",
+            hint="train again with --policy.use_effort=false, or on demonstrations without --effort",
+        )
     sizes = {name: tuple(getattr(feature, "shape", ())) for name, feature in inputs.items()}
     images = {name: shape for name, shape in sizes.items() if is_image_column(name)}
     is_key_frames = config.execution == Execution.KEYFRAME

@@ -9,16 +9,12 @@ from typing import Any
 from lerobot.cameras.camera import Camera
 from numpy.typing import NDArray
 
-from lerobot_adamanip.hardware.cameras.base import FrameReader
+from lerobot_adamanip.hardware.cameras.base import FrameReader, max_latency
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 ARRIVAL_STAMPED = frozenset(("OpenCVCamera", "RealSenseCamera"))
 """LeRobot's cameras of this machine. They stamp pictures (``latest_timestamp``) when these arrive."""
-QUEUED_PICTURES, DRIVER_DELAY_S = 4, 0.1
-"""Upper bound of the time from exposure to arrival: pictures in a driver's queue, and a delay [s]."""
-SLOWEST_FPS = 10
-"""Assumed rate of a camera that does not report its rate [Hz]."""
 POLL_S = 0.005
 
 
@@ -93,7 +89,7 @@ def _wait_for_arrival(key: str, camera: Any, rest: float, timeout: float) -> Non
     Raises:
         RobotError: no such picture arrived within ``timeout`` [s] of the earliest time.
     """
-    earliest = rest + DRIVER_DELAY_S + QUEUED_PICTURES / (camera.fps or SLOWEST_FPS)
+    earliest = rest + max_latency(camera.fps)
     until = max(earliest, time.perf_counter()) + timeout
     while (camera.latest_timestamp or float("-inf")) < earliest:
         if time.perf_counter() > until:

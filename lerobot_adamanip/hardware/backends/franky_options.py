@@ -99,7 +99,7 @@ class FrankyOptions:
     """Whether to require a real-time kernel."""
 
     gripper: bool = True
-    """Whether a Franka Hand is mounted."""
+    """Whether to command the Franka Hand. It must be mounted either way: the box is that of the hand."""
 
     grasp_force: float = 30.0
     """Force of a grasp [N]."""

@@ -89,8 +89,7 @@ class GripperThread:
         if self._wanted is None and opening > OPEN_ABOVE and self.opening > OPEN_ENOUGH:
             self._done = True
         self._wanted = opening > OPEN_ABOVE
-        if self._wanted != self._done:
-            self._wake.set()
+        self._wake.set()  # always: `_done` is out of date during a command
 
     @property
     def busy(self) -> bool:

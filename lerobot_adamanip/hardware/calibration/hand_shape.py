@@ -89,10 +89,12 @@ class _Part:
         return np.subtract(self.upper, self.lower, dtype=np.float64) / 2
 
 
-_FRANKA_PARTS = (
-    # Last link: the joint, and the part beside it.
+_LAST_LINK = (
+    # The joint, and the part beside it.
     _Part((-0.0444, -0.0444, -0.1584), (0.0444, 0.0444, -0.1125), is_round=True),
     _Part((-0.0330, 0.0000, -0.1413), (0.0330, 0.0863, -0.1110)),
+)
+_HAND = (
     # Flange, wedge and plug.
     _Part((-0.0314, -0.0314, -0.1130), (0.0314, 0.0314, -0.0972), is_round=True),
     _Part((-0.0269, -0.0218, -0.1115), (0.0269, 0.0878, -0.0981)),
@@ -116,10 +118,11 @@ _FRANKA_ACCURACY_M = 0.003
 
 
 @functools.cache
-def franka_hand() -> HandShape:
-    """Returns the Franka Hand and its last link as boxes and cylinders."""
-    surfaces = [part.surface() for part in _FRANKA_PARTS]
+def franka_hand(*, last_link: bool = True) -> HandShape:
+    """Returns the Franka Hand as boxes and cylinders, with or without the arm's last link."""
+    parts = (*_LAST_LINK, *_HAND) if last_link else _HAND
+    surfaces = [part.surface() for part in parts]
     points, normals = (np.concatenate(column) for column in zip(*surfaces, strict=True))
-    fingers = np.repeat([part.finger for part in _FRANKA_PARTS], [len(surface[0]) for surface in surfaces])
-    inside = np.any([part.contains(points) for part in _FRANKA_PARTS], axis=0)
+    fingers = np.repeat([part.finger for part in parts], [len(surface[0]) for surface in surfaces])
+    inside = np.any([part.contains(points) for part in parts], axis=0)
     return HandShape(points[~inside], normals[~inside], fingers[~inside], _FRANKA_ACCURACY_M)

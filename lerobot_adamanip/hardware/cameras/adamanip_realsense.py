@@ -6,6 +6,7 @@ arrival and reads colour and depth in two calls.
 
 from __future__ import annotations
 
+import logging
 import time
 from threading import Event
 from typing import Any
@@ -16,13 +17,14 @@ from lerobot.cameras.realsense.configuration_realsense import RealSenseCameraCon
 from numpy.typing import NDArray
 
 from lerobot_adamanip.hardware.camera_frames import Frame, Intrinsics
-from lerobot_adamanip.hardware.cameras.base import FrameReader, LatestFrame
+from lerobot_adamanip.hardware.cameras.base import FrameReader, LatestFrame, max_latency
 from lerobot_adamanip.hardware.cameras.config_adamanip_realsense import AdamanipRealsenseConfig
 from lerobot_adamanip.util.errors import AdaManipError, RobotError
 
+_log = logging.getLogger(__name__)
 WAIT_MS = 200
 MAX_LATENCY = 1.0
-"""Maximum plausible age of a frame at arrival [s]. An older frame, after a clock change, gets its arrival time."""
+"""Maximum plausible age of a frame at arrival [s]. Otherwise its timestamp is not on the host's clock."""
 PINHOLES = ("none", "brown_conrady", "inverse_brown_conrady", "modified_brown_conrady")
 """Distortion models with OpenCV's five coefficients; the last two models match up to second order."""
 
@@ -35,6 +37,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         self.frames = LatestFrame()
         self._last_number: int | None = None
         self._scale = 1.0
+        self._has_warned = False
         super().__init__(RealSenseCameraConfig(**vars(config)))
 
     def connect(self, warmup: bool = True) -> None:
@@ -133,6 +136,17 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
         return np.where(depth <= np.iinfo(np.uint16).max, depth, 0).astype(np.uint16)
 
     def _stamp(self, frame: Any, arrival: float) -> float:
-        """Returns a frame's exposure time on the host's wall clock. The SDK maps the device clock to it."""
+        """Returns a frame's exposure time. If the SDK does not map the device clock to the host's: its lower bound."""
         latency = time.time() - (time.perf_counter() - arrival) - frame.get_timestamp() / 1e3
-        return arrival - latency if 0 <= latency <= MAX_LATENCY else arrival
+        if 0 <= latency <= MAX_LATENCY:
+            return arrival - latency
+        bound = max_latency(self.fps)
+        if not self._has_warned:
+            self._has_warned = True
+            _log.warning(
+                "Camera %s: its timestamps are not on this computer's clock, so each picture counts as taken %.2f s "
+                "before it arrived. If pictures count as too old: a larger --robot.camera_age",
+                self.name,
+                bound,
+            )
+        return arrival - bound

@@ -21,6 +21,15 @@ MAX_AGE = 0.5
 """Maximum age of a camera's latest frame [s]. All supported cameras run at 4 Hz or faster."""
 STOP_TIMEOUT = 2.0
 """Maximum wait for the reading thread to end [s]."""
+QUEUED_PICTURES, DRIVER_DELAY_S = 4, 0.1
+"""Upper bound of the time from exposure to arrival: pictures in a driver's queue, and a delay [s]."""
+SLOWEST_FPS = 10
+"""Assumed rate of a camera that does not report its rate [Hz]."""
+
+
+def max_latency(fps: float | None) -> float:
+    """Returns the longest time [s] from exposure to arrival of a camera with this rate [Hz]."""
+    return DRIVER_DELAY_S + QUEUED_PICTURES / (fps or SLOWEST_FPS)
 
 
 class LatestFrame:
