@@ -305,9 +305,9 @@ def refused(position: tuple[float, float, float], execution: Execution, turn: fl
         ((0.5, 0.0, 0.3), Execution.STREAM, 0.0, "jumps"),
         ((0.5, 0.0, 0.4), Execution.STREAM, 0.4, "jumps"),
         ((0.7, 0.2, 0.1), Execution.KEYFRAME, 1.0, None),  # a whole motion may be far
-        ((0.5, 0.0, 0.02), Execution.KEYFRAME, 0.0, None),
-        ((0.5, 0.0, 0.02), Execution.KEYFRAME, np.pi / 2, "hand outside the box"),  # the tool is inside, a corner not
-        ((0.5, 0.0, 0.01), Execution.KEYFRAME, 0.0, "hand outside the box"),
+        ((0.5, 0.0, 0.035), Execution.KEYFRAME, 0.0, None),
+        ((0.5, 0.0, 0.035), Execution.KEYFRAME, np.pi / 2, "hand outside the box"),  # the tool is inside, a corner not
+        ((0.5, 0.0, 0.03), Execution.KEYFRAME, 0.0, "hand outside the box"),
     ],
 )
 def test_the_server_bounds_jumps_and_the_hands_corners_itself(

@@ -12,13 +12,11 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.hardware.adamanip_franka.observed import (
-    DRIVER_DELAY_S,
-    QUEUED_PICTURES,
     check_cameras,
     pictures,
 )
 from lerobot_adamanip.hardware.camera_frames import Frame
-from lerobot_adamanip.hardware.cameras.base import MAX_AGE, FrameReader, LatestFrame, ThreadedCamera
+from lerobot_adamanip.hardware.cameras.base import MAX_AGE, FrameReader, LatestFrame, ThreadedCamera, max_latency
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 HEIGHT, WIDTH = 24, 32
@@ -162,7 +160,7 @@ class OpenCVCamera:
         self.latest_timestamp, self.number = time.perf_counter(), 2
 
 
-DELAY = DRIVER_DELAY_S + QUEUED_PICTURES / OpenCVCamera.fps
+DELAY = max_latency(OpenCVCamera.fps)
 """Time from rest until a picture of this camera counts as exposed after it [s]."""
 
 

@@ -137,7 +137,7 @@ class AdamanipRealsense(FrameReader, stock.RealSenseCamera):
 
     def _stamp(self, frame: Any, arrival: float) -> float:
         """Returns a frame's exposure time. If the SDK does not map the device clock to the host's: its lower bound."""
-        latency = time.time() - (time.perf_counter() - arrival) - frame.get_timestamp() / 1e3
+        latency: float = time.time() - (time.perf_counter() - arrival) - frame.get_timestamp() / 1e3
         if 0 <= latency <= MAX_LATENCY:
             return arrival - latency
         bound = max_latency(self.fps)
