@@ -44,8 +44,6 @@ SAME_TARGET = 5e-5
 """Distance below which streamed targets are equal [m, rad]."""
 RECOVERY_S, STOP_S = 0.5, 1.0
 """Maximum waits: for a state without errors, and for a stop when closing."""
-KEYFRAME_S = 30.0
-"""Least time limit of a key frame on the arm's clock. The recorder stops the arm after ``motion_time`` [s]."""
 
 
 class OutcomeWatch:
@@ -215,7 +213,7 @@ class FrankyBackend:
         maxima = scaled_limits(self._options)
         speed, angular_speed = (maxima[f"{name}_velocity_limit"][0] for name in ("translation", "rotation"))
         travel_s = (way / speed + turn / angular_speed) / self._pace
-        self._watch = OutcomeWatch(goal, self._options, now, max(KEYFRAME_S, 3.0 + 2.0 * travel_s))
+        self._watch = OutcomeWatch(goal, self._options, now, 3.0 + 2.0 * travel_s)
         if not leaning and max(way, turn) < NO_MOTION:
             return  # only the fingers move
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]
