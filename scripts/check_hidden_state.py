@@ -31,12 +31,12 @@ from lerobot_adamanip.experts import make_expert
 from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND
 
 FIRST_SEED = 300
-TURNS = ({"direction": 1, "turn_range": 0.45}, {"direction": -1, "turn_range": 1.0})
+TURNS = ({"direction": 1, "turn_range": 0.45}, {"direction": -1, "turn_range": 0.75})
 VARIANTS: dict[str, tuple[dict[str, Any], ...]] = {
     **dict.fromkeys(CATEGORIES, TURNS),
     "safe": (
-        {"locked": True, "direction": 1, "knob_range": 1.0},
-        {"locked": False, "direction": -1, "knob_range": 1.4},
+        {"locked": True, "direction": 1, "knob_range": 0.6},
+        {"locked": False, "direction": -1, "knob_range": 1.0},
     ),
     "microwave": ({"locked": True}, {"locked": False}),
     "lamp": ({"mode": 0}, {"mode": 1}, {"mode": 2}),

@@ -57,7 +57,7 @@ def one_step(env: Any, seeds: list[int], **_: object) -> dict[str, torch.Tensor]
 def test_the_log_holds_what_was_asked_for(
     episodes: int, batch: int, suite: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(vector, "KeyframeEnv", OneStep)
+    monkeypatch.setattr(vector, "make_environment", OneStep)
     monkeypatch.setattr(lerobot_eval, "PreTrainedPolicy", nn.Module)
     monkeypatch.setattr(lerobot_eval, "rollout", one_step)
     log = str(tmp_path / "log.jsonl")

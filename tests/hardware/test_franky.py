@@ -214,10 +214,9 @@ def test_a_slow_motion_has_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
         backend = franky.FrankyBackend(FrankyOptions(**VALUES, dynamics=dynamics))
         pose = SimpleNamespace(matrix=np.eye(4))
         backend._state = state(O_T_EE=pose, O_T_EE_d=pose)
-        backend._franky = SimpleNamespace(
-            Affine=np.array, CartesianWaypoint=np.array, CartesianWaypointMotion=lambda *_, **__: None,
-            ControlException=OSError, NetworkException=OSError,
-        )  # fmt: skip
+        errors = {"ControlException": OSError, "NetworkException": OSError}
+        motions = {"CartesianWaypoint": np.array, "CartesianWaypointMotion": lambda *_, **__: None}
+        backend._franky = SimpleNamespace(Affine=np.array, **motions, **errors)
         backend._robot = SimpleNamespace(move=lambda *_, **__: None)
         backend.begin_keyframe(
             SimpleNamespace(pose=pose_vector(transform((0, 0, 0), rotation_about((0, 0, 1), 1.0)), 1.0))

@@ -249,5 +249,5 @@ def test_rules_of_key_frames_cannot_be_switched_at_control_rate(refuses: Any) ->
 
 def test_what_is_no_pose_is_not_mirrored_in_silence(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DP3AdaptiveConfig, "has_pose_layout", False)
-    with pytest.raises(ConfigurationError, match=r"(?s)Only poses can be mirrored.*--action ee_pose --state full"):
+    with pytest.raises(ConfigurationError, match=r"(?s)Only poses can be mirrored.*--control dense --action ee_pose"):
         make("dp3", augmentation_mirror=0.5)

@@ -133,7 +133,7 @@ class DP3AdaptivePolicy(CloudPolicy):
                 "Only poses can be mirrored.",
                 got=f"augmentation_mirror={self.config.augmentation_mirror}, actions or states of another kind",
                 allowed=f"actions of {schema.ACTION_DIM} numbers and states that begin with them",
-                hint="adamanip collect --action ee_pose --state full, or without --policy.augmentation_mirror",
+                hint="adamanip collect DIR --control dense --action ee_pose --state full; or train without mirroring",
             )
         read_in_batches(dataset_meta)
         self.match_clouds(dataset_meta, is_trained=is_trained)
