@@ -59,6 +59,16 @@ def test_a_blocked_push_is_a_failed_try_and_a_second_one_is_another(world: World
     assert world.tries == [(0, 1, True)] * 2
 
 
+def test_a_failed_try_that_has_ended_stays_counted_during_an_equal_one(world: World) -> None:
+    world.blocked("door")
+    world.rests("door")
+    counts = []
+    for _ in range(6):
+        world.blocked("door", ticks=1)
+        counts.append(world.tracker.ended_failed_tries)
+    assert counts == [1] * 6
+
+
 def test_a_stretch_of_pushing_that_flickers_is_one_try(world: World) -> None:
     for _ in range(4):
         world.blocked("door", ticks=3)
