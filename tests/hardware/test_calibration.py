@@ -230,9 +230,9 @@ def test_the_printed_board_is_the_one_that_is_looked_for(tmp_path: Path) -> None
 def test_the_printed_board_is_one_json_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "board.png"
     assert main(["calibrate", "--board-image", str(path), "--square", "0.03", "--marker", "0.022", "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert (told["board_image"], told["columns"], told["rows"], told["square"]) == (str(path), 7, 5, 0.03)
-    assert told["size_mm"] == pytest.approx([210, 150])
+    board = json.loads(capsys.readouterr().out)
+    assert (board["board_image"], board["columns"], board["rows"], board["square"]) == (str(path), 7, 5, 0.03)
+    assert board["size_mm"] == pytest.approx([210, 150])
 
 
 def test_the_prompt_is_not_on_stdout(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -222,7 +222,7 @@ def test_a_slow_motion_has_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
             SimpleNamespace(pose=pose_vector(transform((0, 0, 0), rotation_about((0, 0, 1), 1.0)), 1.0))
         )  # type: ignore[arg-type]
     assert limits[0] > 40.0
-    assert limits[1] < 5.0, "a blocked arm is told of soon"
+    assert limits[1] < 5.0, "a blocked motion ends after seconds"
 
 
 class SlowHand:

@@ -145,10 +145,9 @@ class DP3AdaptivePolicy(CloudPolicy):
         features = {schema.STATE: config.input_features[schema.STATE], schema.ACTION: config.action_feature}
         self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, stats)
         if config.balance_tasks:
-            read = inputs.read_columns(dataset_meta, (inputs.EPISODE, inputs.TASK))
-            columns = {key: values.reshape(-1) for key, values in read.items()}
-            trained = inputs.is_trained(dataset_meta, columns[inputs.EPISODE])
-            self._task_weights = inputs.balanced_weights(columns[inputs.TASK], trained)
+            task = inputs.read_columns(dataset_meta, (inputs.TASK,))[inputs.TASK].reshape(-1)
+            trained = self.recorded.column(inputs.IS_TRAINED, torch.arange(len(task)))
+            self._task_weights = inputs.balanced_weights(task, trained.numpy())
 
     def fit_anchors(self, motions: Tensor, openings: Tensor) -> None:
         """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
