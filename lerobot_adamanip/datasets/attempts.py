@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
 
+from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
 from lerobot_adamanip.datasets.episode import HIDDEN_STATE
 from lerobot_adamanip.datasets.manifest import AttemptCounts
+from lerobot_adamanip.evaluation.record import hidden_boundaries, hidden_names
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -102,32 +104,30 @@ def count(attempts: list[AttemptRecord], wanted: int) -> AttemptCounts:
 
 
 class HasHiddenState(Protocol):
-    """An attempt or an episode, both with a hidden state."""
+    """An attempt or an episode, both with an object and a hidden state."""
+
+    @property
+    def object_id(self) -> str:
+        """Object, which has a category."""
 
     @property
     def hidden_state(self) -> Mapping[str, Any] | None:
-        """Name -> hidden value."""
+        """Name -> hidden value; None without a layout."""
 
 
 def grouped_by_hidden_value[Item: HasHiddenState](items: Iterable[Item]) -> dict[str, list[Item]]:
-    """Returns hidden value -> attempts or episodes; each is listed under every one of its hidden values.
+    """Returns ``safe: locked`` -> attempts or episodes; each is listed under every one of its hidden values.
 
-    Continuous values are split at their median.
+    Continuous values are split at their category's median. Those without a layout come last.
     """
-    known = [(item.hidden_state or {}, item) for item in items]
+    known = [(category_of(item.object_id), item.hidden_state, item) for item in items]
+    boundaries = hidden_boundaries((category, hidden) for category, hidden, _ in known if hidden is not None)
     groups: dict[str, list[Item]] = {}
-    for name in sorted({name for hidden, _ in known for name in hidden}):
-        values = [hidden[name] for hidden, _ in known if name in hidden]
-        kinds = set(map(type, values))
-        middle = sorted(values)[len(values) // 2] if float in kinds and str not in kinds else None
-        of_name: dict[str, list[Item]] = {}
-        for value, item in ((hidden[name], item) for hidden, item in known if name in hidden):
-            label = f"= {json.dumps(value)}" if middle is None else f"{'<' if value < middle else '>='} {middle:.3g}"
-            of_name.setdefault(f"{name} {label}", []).append(item)
-        groups |= dict(sorted(of_name.items()))
-    if unplaced := [item for _, item in known if item.hidden_state is None]:
-        groups[NO_LAYOUT] = unplaced
-    return groups
+    for category, hidden, item in known:
+        names = [NO_LAYOUT] if hidden is None else hidden_names(category, hidden, boundaries)
+        for name in names:
+            groups.setdefault(f"{category}: {name}", []).append(item)
+    return dict(sorted(groups.items(), key=lambda group: (NO_LAYOUT in group[0], group[0])))
 
 
 _COUNT = json_fields.integer(0, 2**31)

@@ -19,7 +19,7 @@ from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_by_kind
 from lerobot_adamanip.evaluation.metrics import Recovery, recovery
 from lerobot_adamanip.evaluation.rates import Rate, rate, success_summary
-from lerobot_adamanip.evaluation.record import EpisodeRecord, hidden_names
+from lerobot_adamanip.evaluation.record import EpisodeRecord, hidden_boundaries, hidden_names
 from lerobot_adamanip.evaluation.report import ALL, OBJECT_SPLITS, Group, worth_showing
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
@@ -182,18 +182,14 @@ def _groups(table: DataFrame) -> dict[Group, DataFrame]:
 
     Continuous hidden values are halved at their median.
     """
+    rows = table.to_dict("records")
     hidden = [name for name in table.columns if name.startswith("hidden.")]
-    boundaries = {
-        (str(category), name.removeprefix("hidden.")): float(f"{statistics.median(values):.3g}")
-        for category, episodes in table.groupby("category")
-        for name in hidden
-        if (values := [value for value in episodes[name] if isinstance(value, float)])
-    }
+    states = [{name.removeprefix("hidden."): row[name] for name in hidden if row[name] is not None} for row in rows]
+    boundaries = hidden_boundaries((str(row["category"]), state) for row, state in zip(rows, states, strict=True))
     of_episodes = []
-    for row in table.to_dict("records"):
+    for row, state in zip(rows, states, strict=True):
         groups, category, split = [ALL], row["category"], row["object_split"] or "external"
         if category is not None:
-            state = {name.removeprefix("hidden."): row[name] for name in hidden if row[name] is not None}
             groups += [Group("category", category), Group("objects", split)]
             groups += [Group("category and objects", f"{category}, {split}")]
             groups += [Group("hidden", f"{category}: {name}") for name in hidden_names(category, state, boundaries)]

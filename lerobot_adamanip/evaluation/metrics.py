@@ -176,7 +176,8 @@ def _failures(records: Records) -> dict[str, int]:
 
 
 def _by_hidden_value(records: Records) -> dict[str, Rate]:
-    boundaries, successes = hidden_boundaries(records), dict[str, list[bool]]()
+    boundaries = hidden_boundaries((record.category, record.hidden_state) for record in records)
+    successes: dict[str, list[bool]] = {}
     for record in records:
         for name in hidden_names(record.category, record.hidden_state, boundaries):
             successes.setdefault(name, []).append(record.success)

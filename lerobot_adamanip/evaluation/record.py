@@ -288,16 +288,18 @@ def first_episodes(records: Iterable[EpisodeRecord], count: int) -> list[Episode
     return chosen
 
 
-def hidden_boundaries(records: Iterable[EpisodeRecord]) -> dict[tuple[str, str], float]:
-    """Returns the medians of the continuous hidden values by category, to three digits.
+def hidden_boundaries(states: Iterable[tuple[str, Mapping[str, HiddenValue]]]) -> dict[tuple[str, str], float]:
+    """Returns the medians of the continuous hidden values by category and name, to three digits.
 
-    Evaluations are comparable only with equal boundaries: pass the records of all of them.
+    Args:
+        states: category and hidden state of each episode. Evaluations are comparable only with equal boundaries: pass
+            the episodes of all of them.
     """
     values: dict[tuple[str, str], list[float]] = {}
-    for record in records:
-        for name, value in record.hidden_state.items():
+    for category, hidden in states:
+        for name, value in hidden.items():
             if isinstance(value, float):
-                values.setdefault((record.category, name), []).append(value)
+                values.setdefault((category, name), []).append(value)
     return {key: float(f"{statistics.median(several):.3g}") for key, several in values.items()}
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -74,7 +75,8 @@ def group_records(
         records: unique episodes.
         boundaries: see `hidden_boundaries`; by default those of these records.
     """
-    boundaries = hidden_boundaries(records) if boundaries is None else boundaries
+    if boundaries is None:
+        boundaries = hidden_boundaries((record.category, record.hidden_state) for record in records)
     groups: dict[Group, list[EpisodeRecord]] = {ALL: []}
     for record in records:
         for group in groups_of(record, boundaries):
@@ -329,7 +331,8 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
     Args:
         evaluations: label -> records; at least one.
     """
-    boundaries = hidden_boundaries(record for records in evaluations.values() for record in records)
+    records = itertools.chain.from_iterable(evaluations.values())
+    boundaries = hidden_boundaries((record.category, record.hidden_state) for record in records)
     summaries = {label: summarise(records, boundaries) for label, records in evaluations.items()}
     (first, reference), *others = summaries.items()
     differences = tuple(

@@ -55,10 +55,10 @@ def test_its_numbers_are_those_of_the_dataset(published: Path, card: str) -> Non
     for locked in (True, False):
         mine = [attempt for attempt in attempts if (attempt["hidden_state"] or {}).get("locked") is locked]
         opened, kept = (sum(each[name] in (True, "success") for each in mine) for name in ("reason", "kept"))
-        row = f"| `locked = {json.dumps(locked)}` | {len(mine)} | {opened} | {kept} |"
+        row = f"| `safe: {'locked' if locked else 'unlocked'}` | {len(mine)} | {opened} | {kept} |"
         assert row in card
     unplaced = sum(attempt["hidden_state"] is None for attempt in attempts)
-    assert f"| `(no layout)` | {unplaced} | 0 | 0 |" in card
+    assert f"| `safe: (no layout)` | {unplaced} | 0 | 0 |" in card
     rows = pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     assert f"{sum(row['late'] for row in rows)} episodes start late" in card
     failed = [row["failed_tries"] for row in rows if row["success"]]
@@ -110,8 +110,8 @@ def test_a_part_tells_its_own_counts_and_how_it_was_chosen(published: Path, tmp_
     assert f"Part of `DATASET`: 1 of its {whole} episodes" in text
     assert "adamanip filter DATASET --where hidden.locked=true --out locked\nadamanip filter DATASET" in text
     assert "were attempted" not in text
-    assert "| `locked = true` | 1 | 1 |" in text
-    assert "`locked = false`" not in text
+    assert "| `safe: locked` | 1 | 1 |" in text
+    assert "`safe: unlocked`" not in text
     assert "adamanip collect DATASET " in text
     assert read_stats(tmp_path / "one").attempts is None
     scanned = scan({"meta/selection.json": tmp_path / "one/meta/selection.json"}, Names.here(tmp_path))
@@ -154,7 +154,7 @@ def test_a_dataset_of_several_collections_has_a_card_too(published: Path, tmp_pa
     assert "adamanip collect" not in text
     kept = pq.read_table(published / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
     locked = sum(json.loads(each["hidden_state"])["locked"] for each in kept)
-    assert f"| `locked = true` | {locked} | {locked} |" in text
+    assert f"| `safe: locked` | {locked} | {locked} |" in text
     assert "| hidden | episodes | of them succeeded |" in text
     assert re.search(r"recorded with different versions: torch 0\.[\d.+a-z]+ and [\d.+a-z]+\.", text)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections import Counter
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -126,15 +127,17 @@ LISTED = [
     attempt(False, {"locked": True, "angle": 1.5}),
     attempt(True, {"locked": False, "angle": 2.5}),
     attempt(False, None),
+    replace(attempt(True, {"angle": 9.5}), object_id="door_000"),
 ]
 
 
 def test_they_divide_by_each_hidden_value() -> None:
     groups = grouped_by_hidden_value(LISTED)
     table = {label: (sum(each.kept for each in group), len(group)) for label, group in groups.items()}
-    assert table["locked = true"] == (1, 2)
-    assert table["locked = false"] == (1, 1)
-    assert table["angle < 1.5"] == (1, 1)
-    assert table["angle >= 1.5"] == (1, 2)
-    assert table["(no layout)"] == (0, 1)
+    assert table["safe: locked"] == (1, 2)
+    assert table["safe: unlocked"] == (1, 1)
+    assert table["safe: angle < 1.5"] == (1, 1)
+    assert table["safe: angle >= 1.5"] == (1, 2)
+    assert table["door: angle >= 9.5"] == (1, 1)  # ranges of categories differ, and so do their medians
+    assert list(table.items())[-1] == ("safe: (no layout)", (0, 1))
     assert grouped_by_hidden_value([]) == {}

@@ -90,7 +90,7 @@ def test_what_is_hidden_is_what_is_grouped_by() -> None:
 
 @given(RECORDS)
 def test_a_continuous_range_is_halved(records: list[EpisodeRecord]) -> None:
-    boundaries = hidden_boundaries(records)
+    boundaries = hidden_boundaries((each.category, each.hidden_state) for each in records)
     for (category, name), boundary in boundaries.items():
         values = [each.hidden_state[name] for each in records if each.category == category]
         assert sum(value < boundary - 0.02 for value in values) <= len(values) / 2
