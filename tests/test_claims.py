@@ -86,7 +86,7 @@ def test_repeats_and_what_follows_a_failure_are_counted() -> None:
 def test_the_categories_that_fall_short_are_named() -> None:
     names = {name: metrics("dp3_adaptive", name).within_best_tries for name in CATEGORIES}
     low = [f"{name}s ({rate.count})" for name, rate in names.items() if rate and (rate.rate or 0) < 0.9]
-    assert f"Below 90 % within the tries are {', '.join(low[:-1])} and {low[-1]}." in DOCUMENTS["README.md"]
+    assert f"below 90 % within the tries are {', '.join(low[:-1])} and {low[-1]}." in DOCUMENTS["README.md"]
 
 
 def test_the_novel_objects_that_open_least_are_named() -> None:
