@@ -29,7 +29,12 @@ def main() -> int:
     try:
         entry = read_entry(options.entry)
         if options.evaluate and options.out.exists():
-            raise ConfigurationError("An entry is evaluated in a new folder.", got=options.out, hint="another --out")
+            raise ConfigurationError(
+                "An entry is evaluated in a new folder.",
+                got=options.out,
+                allowed="a folder that does not exist",
+                hint="another --out",
+            )
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2

@@ -61,7 +61,7 @@ def _own_options(cls: type) -> Iterator[Option]:
             while lines[first - 1].lstrip().startswith("# "):
                 first -= 1
             text = " ".join(line.strip().removeprefix("# ") for line in lines[first : node.lineno - 1])
-        if text and not text.startswith(("Set by itself", "The former name", "Without effect")):
+        if text and not text.startswith(("Set automatically", "Without effect")):
             yield Option(node.target.id, ast.unparse(node.annotation), " ".join(text.split()))  # type: ignore[union-attr]
 
 

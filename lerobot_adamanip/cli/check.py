@@ -33,8 +33,8 @@ class CheckCommand:
     """Folder of a LeRobotDataset."""
 
     repair: bool = False
-    """Repair the dataset after a crash, and convert a recording of the former format; then check again. Every
-    completely saved episode is kept. Removed files are moved into DIR.before-repair."""
+    """Repair the dataset after a crash, then check again. Every completely saved episode is kept. Removed files are
+    moved into DIR.before-repair."""
 
     replay: int = 0
     """Number of episodes to replay in the simulator, spread over the dataset, for example 3."""
@@ -50,7 +50,6 @@ class CheckCommand:
         if self.replay < 0:
             raise ConfigurationError("Nothing to replay.", got=self.replay, allowed=">= 0", hint="--replay 3")
         from lerobot_adamanip.datasets.check.dataset import check
-        from lerobot_adamanip.datasets.former_recordings import convert_former
         from lerobot_adamanip.datasets.repair import repair
 
         repaired: dict[str, Any] = {}
@@ -58,7 +57,6 @@ class CheckCommand:
         with show_progress(_STAGES) as progress:
             if self.repair:
                 changes = repair(self.root)
-                convert_former(changes)
                 repaired, lines = {"repair": changes.to_json()}, list(changes.lines())
             result = check(self.root, assets=self.assets, progress=progress)
             if self.replay and result.clean:

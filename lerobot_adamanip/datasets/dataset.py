@@ -61,7 +61,7 @@ from lerobot_adamanip.util.video import open_mp4
 STATS, TASKS = "meta/stats.json", "meta/tasks.parquet"
 MAX_STATISTICS_BYTES = 100_000_000
 OnDamage = Callable[[str, str, str | None, int | None], object]
-"""Called with kind of damage (a key of `check.findings.KINDS`), message, file and episode."""
+"""Called with kind of damage (of `check.findings.KINDS`), message, file and episode."""
 _OF_LEROBOT = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index", "listed_in")
 _OF_LEROBOT_PREFIXES = ("data/", "videos/", "meta/")
 _INDEX, _TIME = integer(0, 2**40), number(0, 1e9)

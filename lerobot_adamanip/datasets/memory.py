@@ -96,7 +96,7 @@ def _addition(source: Dataset, form: str) -> Addition:
             "No memory can be added to this dataset.",
             got=f"{source.root.name} has {got}",
             allowed="a dataset without one, whose states are those of `adamanip collect` or of the robot",
-            hint="the dataset it was made of; adamanip check RECORDING --repair for a former format",
+            hint="the dataset it was made of",
         )
     control = DENSE if is_dense_collection(features) or is_dense(features) else KEYFRAME
     action = kind_by_size(features, schema.ACTION)

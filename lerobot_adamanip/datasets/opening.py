@@ -13,7 +13,7 @@ from typing import Any
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
-from lerobot_adamanip.hardware.features import ARM, DEPTH_SUFFIX, FORMER_LABEL
+from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, names_of
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import (
     Check,
@@ -76,6 +76,7 @@ _FIELDS: Mapping[str, Check] = {
 }
 _NEEDED = ("total_frames", "total_episodes", "fps")
 _MARKUP = re.compile(r"[<>`|\x00-\x1f\x7f-\x9f]|\]\(")
+_FORMER_LABEL = "label.success"
 _OF_CARDS = ("object_id", "expert", "versions", "hidden_state", "recorded")
 """Columns of episodes that a card shows."""
 
@@ -183,7 +184,7 @@ def checked_info(folder: Path) -> dict[str, Any]:
     """Returns `read_info` of an absolute folder; raises `DatasetError` for each of its errors."""
     require_dataset(folder)
     try:
-        return read_info(folder)
+        info = read_info(folder)
     except UntrustedValueError as error:
         raise untrusted(folder, error) from error
     except OtherFormatError as error:
@@ -195,6 +196,14 @@ def checked_info(folder: Path) -> dict[str, Any]:
         ) from error
     except (OSError, ValueError) as error:
         raise damaged(folder, f"{INFO}: {error}") from error
+    if _FORMER_LABEL in names_of(info["features"].get(STATE)):
+        raise DatasetError(
+            "This recording is of an earlier version: its state holds a clock and the result.",
+            got=f"{as_typed(folder)}: {STATE} with {_FORMER_LABEL}",
+            allowed="a state of tool pose and joints only",
+            hint="record it again",
+        )
+    return info
 
 
 def conversion_command(folder: Path) -> str:
@@ -253,17 +262,6 @@ def recording_error(folder: Path, features: Mapping[str, Any]) -> DatasetError:
         got=f"{name}, without {POINT_CLOUD}",
         allowed="a dataset of `adamanip collect` or `adamanip keyframes`",
         hint=hint,
-    )
-
-
-def former_error(folder: Path) -> DatasetError:
-    """Returns the error for a recording in the former format where the present one is needed."""
-    name = as_typed(folder)
-    return DatasetError(
-        "This recording has the former format: its state holds a clock and the result.",
-        got=f"{name}: {STATE} with {FORMER_LABEL}",
-        allowed="a state of tool pose and joints only",
-        hint=f"adamanip check {name} --repair, which moves the rest to {ARM}",
     )
 
 

@@ -24,7 +24,6 @@ from lerobot_adamanip.datasets.opening import INFO, first_line, require_dataset
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.datasets.writing import camera_records, cameras_json
-from lerobot_adamanip.hardware.features import is_former
 from lerobot_adamanip.util import files
 
 
@@ -136,8 +135,6 @@ def _write_totals(done: Repair) -> None:
         info = {**dataset.info, **true, "splits": {"train": f"0:{len(dataset.episodes)}"}}
         done.replace(done.root / INFO, info, f"{len(dataset.episodes)} episodes, {rows} rows, counted again")
         dataset.info.update(true)
-    if is_former(dataset.features):
-        return  # its rows may be half converted; `former_recordings` computes the statistics
     report, stored = Report(), stored_statistics(dataset.statistics)
     check_statistics(dataset, stored, report)
     if report.counts:

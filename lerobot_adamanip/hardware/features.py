@@ -32,10 +32,6 @@ OUTCOME_NAME = "arm.outcome"
 STAMP_NAME = "arm.stamp"
 """Measurement time of the state [s since connection]. LeRobot's rows have only the loop's nominal time."""
 ARM_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME)
-FORMER_LABEL = "label.success"
-"""Success in the state of recordings in the former format."""
-FORMER_NAMES = (*ARM_NAMES, FORMER_LABEL)
-"""State of recordings in the former format, which holds a clock and the result."""
 UNLABELLED = -1
 """Phase and trial of human demonstrations."""
 FRONT_CAMERA = "front"
@@ -66,11 +62,6 @@ def recorded_kind(feature: Mapping[str, Any] | None, kinds: Mapping[str, tuple[s
     return next((kind for kind, own in kinds.items() if own == names), None)
 
 
-def is_former(features: Mapping[str, Any]) -> bool:
-    """Returns whether a recording has the former format, with a clock and the result in ``observation.state``."""
-    return set(FORMER_NAMES) <= set(names_of(features.get(STATE)))
-
-
 def split_memory(features: Mapping[str, Any]) -> dict[str, Any]:
     """Returns features with the memory in a column of its own: LeRobot puts all numbers of a robot into the state."""
     names = names_of(features.get(STATE))
@@ -98,7 +89,5 @@ def is_dense(features: Mapping[str, Any]) -> bool:
         return True
     if (KEY_FRAME_COLUMNS | {KEY_FRAME}) & set(features):
         return False
-    if is_former(features):
-        return set(POSE_NAMES) <= set(names_of(features.get(ACTION)))
     has_kinds = recorded_kind(features.get(STATE), STATES) and recorded_kind(features.get(ACTION), ACTION_NAMES)
     return bool(has_kinds)

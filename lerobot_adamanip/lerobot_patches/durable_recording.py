@@ -44,7 +44,6 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, POSE, STATES
 from lerobot_adamanip.contract.schema import ACTION, DONE, STATE
-from lerobot_adamanip.datasets.opening import former_error
 from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations, save_calibration
@@ -52,7 +51,6 @@ from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
     SAFETY,
     is_dense,
-    is_former,
     recorded_features,
     split_memory,
 )
@@ -101,7 +99,7 @@ def apply() -> None:
 def with_robot_columns(features: dict[str, Any]) -> dict[str, Any]:
     """Returns the features of a new dataset, with the recorder's columns if it is a recording of our robots."""
     own = split_memory(features)
-    return recorded_features(own) if is_dense(own) and not is_former(own) else features
+    return recorded_features(own) if is_dense(own) else features
 
 
 def comparing(stock: Callable[..., None]) -> Callable[..., None]:
@@ -109,8 +107,6 @@ def comparing(stock: Callable[..., None]) -> Callable[..., None]:
 
     @functools.wraps(stock)
     def compare(dataset: Any, robot: Any, fps: int, features: dict[str, Any]) -> None:
-        if is_former(dataset.features):
-            raise former_error(dataset.root)
         stock(dataset, robot, fps, with_robot_columns(features))
 
     return compare

@@ -22,7 +22,6 @@ from lerobot_adamanip.hardware.features import (
     ARM,
     CALIBRATIONS,
     DEPTH_SUFFIX,
-    FORMER_LABEL,
     FRONT_CAMERA,
     INTERVENTION,
     OUTCOME_NAME,
@@ -123,7 +122,7 @@ class DenseRecording:
             raise _unusable(self.root, got, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
         requested = self._targets(columns[schema.ACTION].astype(np.float32, copy=False), state)
         sent = numbers(SENT_NAMES, np.nan) if SENT_NAMES[0] in names else self._accepted(requested, state[0, :10])
-        success, corrected = columns.get(schema.SUCCESS, numbers([FORMER_LABEL], 0.0)), columns.get(INTERVENTION)
+        success, corrected = columns.get(schema.SUCCESS, np.zeros(len(state))), columns.get(INTERVENTION)
         return DenseEpisode(
             state=state,
             effort=numbers(schema.EFFORT_NAMES, 0.0),
@@ -173,7 +172,7 @@ class DenseRecording:
     def has_success(self) -> bool:
         """Whether somebody reported success while recording. Nobody does on rollouts."""
         features = self.dataset.features
-        return INTERVENTION not in features and (schema.SUCCESS in features or FORMER_LABEL in self._names)
+        return INTERVENTION not in features and schema.SUCCESS in features
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""

@@ -19,7 +19,7 @@ from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFr
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import execution_of_data, execution_of_policy
 from lerobot_adamanip.hardware.arm import Execution
-from lerobot_adamanip.hardware.features import FORMER_NAMES, INTERVENTION, recorded_features
+from lerobot_adamanip.hardware.features import INTERVENTION, recorded_features
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig
@@ -27,11 +27,11 @@ from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 
 KEY_FRAMES = schema.dataset_features()
 TICKS: dict[str, Any] = {
-    schema.STATE: {"names": list(FORMER_NAMES)},
+    schema.STATE: {"names": list(STATES[POSE])},
     schema.ACTION: {"names": list(schema.POSE_NAMES)},
     "observation.images.front_depth": {},
 }
-"""A recording in the former format."""
+"""A recording."""
 ROLLOUT = {**TICKS, schema.STATE: {"names": list(schema.STATE_NAMES)}, INTERVENTION: {}}
 SIMULATED = schema.dense_features(ACTION_NAMES[EE_POSE], STATES[FULL], num_points=16)
 RECORDED = recorded_features(schema.dense_features(ACTION_NAMES[EE_DELTA], STATES[POSE]))

@@ -21,7 +21,6 @@ from lerobot_adamanip.hardware.features import (
     ARM,
     CALIBRATIONS,
     DEPTH_SUFFIX,
-    FORMER_NAMES,
     INTERVENTION,
     names_of,
     recorded_features,
@@ -127,11 +126,6 @@ def arm_rows(episode: DenseEpisode) -> NDArray[np.float32]:
     return np.concatenate([episode.state, episode.effort, episode.sent, told], axis=1).astype(np.float32)
 
 
-def former_rows(episode: DenseEpisode) -> NDArray[np.float32]:
-    """States of the former format."""
-    return np.concatenate([arm_rows(episode), episode.success[:, None]], axis=1).astype(np.float32)
-
-
 def depth_at(tick: int) -> NDArray[np.uint16]:
     """A wall that nears by a millimetre per tick, and a hole."""
     depth = np.full((SIZE, SIZE, 1), 900 - tick % 100, np.uint16)
@@ -184,10 +178,10 @@ def reading_at(episode: DenseEpisode, tick: int) -> ArmReading:
 
 
 def frames(episode: DenseEpisode, features: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Rows as the recorder adds them: in the present format, or in that of rollouts and recordings before it."""
+    """Rows as the recorder adds them, or as LeRobot does without its columns."""
     for tick, reading in enumerate(reading_at(episode, tick) for tick in range(len(episode))):
         frame = {
-            STATE: former_rows(episode)[tick][: len(names_of(features[STATE]))],
+            STATE: arm_rows(episode)[tick][: len(names_of(features[STATE]))],
             ACTION: episode.asked[tick],
             "observation.images.front": np.full((SIZE, SIZE, 3), tick % 250, np.uint8),
             f"observation.images.front{DEPTH_SUFFIX}": depth_at(tick),
@@ -209,15 +203,13 @@ def add(dataset: Any, episode: DenseEpisode) -> None:
         dataset.add_frame(frame)
 
 
-def write_recording(root: Path, *episodes: DenseEpisode, former: bool = False) -> Path:
-    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` did in the former format."""
-    lerobot_patches.restore()  # the formats of before have no column of the recorder
+def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
+    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` does without our recorder."""
+    lerobot_patches.restore()  # which would add its columns to the latter
     features = None
     if episodes[0].corrected is not None:
         taken_over = {"dtype": "bool", "shape": (1,), "names": None}
         features = {**dense_features(STATE_NAMES, POSE_NAMES), INTERVENTION: taken_over}
-    elif former:
-        features = dense_features(FORMER_NAMES, POSE_NAMES)
     dataset = begun(root, features)
     for episode in episodes:
         add(dataset, episode)

@@ -11,7 +11,7 @@ from lerobot_adamanip.contract.memory import MEMORY, memory_feature
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
 from lerobot_adamanip.datasets.opening import INFO
-from lerobot_adamanip.hardware.features import ARM, is_dense, is_former, names_of
+from lerobot_adamanip.hardware.features import is_dense, names_of
 
 OF_LEROBOT: Mapping[str, str] = {
     "timestamp": "float32", "frame_index": "int64", "episode_index": "int64", "index": "int64", "task_index": "int64",
@@ -44,9 +44,7 @@ def check_features(features: Mapping[str, Mapping[str, Any]], report: Report, *,
 
 
 def _check_dense(features: Mapping[str, Mapping[str, Any]], report: Report) -> None:
-    """Checks a robot's recording: its format, the number of its names, and LeRobot's columns."""
-    if is_former(features):
-        report.add("schema", f"{schema.STATE} holds a clock and the result: --repair moves them to {ARM}", INFO)
+    """Checks a robot's recording: the number of its names, and LeRobot's columns."""
     for key in (schema.STATE, schema.ACTION):
         if list(features[key]["shape"]) != [len(names_of(features[key]))]:
             report.add("schema", f"{key}: shape {features[key]['shape']!r:.80}, not that of its names", INFO)

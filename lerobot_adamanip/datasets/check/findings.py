@@ -4,74 +4,24 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 Progress = Callable[[str, int, int], None]
 """Called with a stage's name, the number done and the total number."""
-
-
-class Kind(NamedTuple):
-    """Meaning of a kind of finding, its repair by `adamanip check --repair`, and whether it makes a check fail."""
-
-    meaning: str
-    repair: str
-    fails: bool = True
-
-
-_NO = "no"
-KINDS: Mapping[str, Kind] = {
-    "missing": Kind("a file that the dataset names does not exist", "`meta/stats.json` alone"),
-    "unreadable": Kind(
-        "a file, or a part of it, is cut off or cannot be parsed", "`meta/stats.json`, and files of no saved episode"
-    ),
-    "leftover": Kind("a temporary file or picture of a process that ended early", "moved away"),
-    "unlisted": Kind("rows or video frames that belong to no episode", "files of no saved episode are moved away"),
-    "metadata": Kind("an episode's metadata contradicts itself, or the dataset has another format", _NO),
-    "untrusted": Kind(
-        "a value that another program would interpret (options of an encoder, a playlist, markup, control characters), "
-        "which no command passes on",
-        _NO,
-    ),
-    "count": Kind("totals in `meta/info.json` differ from the episodes", "counted again"),
-    "schema": Kind("a column is missing, or its type, shape or names differ from the contract's", _NO),
-    "shape": Kind("a cell is empty, or its shape differs from its column's", _NO),
-    "length": Kind("an episode has more or fewer rows than its metadata says", _NO),
-    "index": Kind("`index`, `frame_index` or `episode_index` are not consecutive", _NO),
-    "timestamp": Kind("the time of a row or frame is not its number divided by the frame rate", _NO),
-    "task": Kind("a row's task does not exist, or is not a task of its episode", _NO),
-    "not-finite": Kind("NaN or infinity", _NO),
-    "rotation": Kind("rotation 6D of a state's or an action's pose is not two orthonormal rows", _NO),
-    "workspace": Kind("a cloud has points outside the workspace", _NO),
-    "gripper": Kind("a gripper's opening is not in [0, 1]", _NO),
-    "limits": Kind("a dense action or state is outside the limits of its kind", _NO),
-    "label": Kind("a label is not one of the contract's codes, or contradicts earlier labels", _NO),
-    "video-length": Kind("a video is shorter than its episodes, or is cut at other places", _NO),
-    "video-content": Kind("a video's colours differ from its episode's statistics", _NO),
-    "episode-statistics": Kind("an episode's statistics differ from those of its rows", _NO),
-    "statistics": Kind("`meta/stats.json` differs from the statistics of the rows", "computed again"),
-    "averaged": Kind(
-        "warning: quantiles of `meta/stats.json` are averages of the episodes', or the cloud has none, as LeRobot's "
-        "tools leave them",
-        "computed again",
-        fails=False,
-    ),
-    "cameras": Kind(
-        "warning: `meta/cameras.json` is lost, as LeRobot's tools lose it",
-        "written again, if `meta/episodes` has the column `camera`",
-        fails=False,
-    ),
-    "facts": Kind("an episode's columns (object, hidden state, tries ...) are invalid, or contradict its rows", _NO),
-    "collection": Kind("`meta/collection.json` is invalid, or an episode does not belong to that collection", _NO),
-    "versions": Kind("an episode's software versions differ from its collection's", _NO),
-    "attempts": Kind("`meta/attempts.jsonl` has lost lines", _NO),
-    "replay": Kind("the simulator does not reproduce the recording (`--replay`)", _NO),
-}
-"""Kind -> meaning. docs/checking.md shows this table."""
+KINDS = (
+    "averaged", "cameras", "missing", "unreadable", "leftover", "unlisted", "metadata", "untrusted", "count", "schema",
+    "shape", "length", "index", "timestamp", "task", "not-finite", "rotation", "workspace", "gripper", "limits",
+    "label", "video-length", "video-content", "episode-statistics", "statistics", "facts", "collection", "versions",
+    "attempts", "replay",
+)  # fmt: skip
+"""Kinds of findings; docs/checking.md says what each means."""
+WARNINGS = frozenset(("averaged", "cameras"))
+"""Kinds of findings that make no check fail."""
 MOST_OF_A_KIND = 200
 """Largest number of listed findings of a kind; further ones are only counted."""
 
@@ -89,7 +39,7 @@ class Finding:
     @property
     def fails(self) -> bool:
         """Whether it makes a check fail; a warning does not."""
-        return KINDS[self.kind].fails
+        return self.kind not in WARNINGS
 
     def __str__(self) -> str:
         """Returns one line: kind, place, message; a warning says so first."""
@@ -167,7 +117,7 @@ class Report:
 
     def total(self, *, fails: bool) -> int:
         """Returns the number of findings that make the check fail, or of warnings."""
-        return sum(count for kind, count in self.counts.items() if KINDS[kind].fails is fails)
+        return sum(count for kind, count in self.counts.items() if (kind not in WARNINGS) is fails)
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary."""

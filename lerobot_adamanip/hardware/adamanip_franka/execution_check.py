@@ -21,7 +21,7 @@ from typing import Any
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, JOINT, POSE, STATES
 from lerobot_adamanip.contract.schema import ACTION, KEY_FRAME, STATE
 from lerobot_adamanip.hardware.arm import Execution
-from lerobot_adamanip.hardware.features import ARM, INTERVENTION, KEY_FRAME_COLUMNS, is_former, recorded_kind
+from lerobot_adamanip.hardware.features import ARM, INTERVENTION, KEY_FRAME_COLUMNS, recorded_kind
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -129,7 +129,7 @@ def execution_of_policy(policy: Any) -> Execution | None:
 def execution_of_data(features: Mapping[str, Any]) -> Execution | None:
     """Returns the execution mode of a dataset with these features; None if unknown, e.g. for a recorded rollout."""
     kinds = recorded_kind(features.get(ACTION), ACTION_NAMES), recorded_kind(features.get(STATE), STATES)
-    if is_former(features) or kinds[0] in (EE_DELTA, JOINT) or kinds[1] == POSE:
+    if kinds[0] in (EE_DELTA, JOINT) or kinds[1] == POSE:
         return Execution.STREAM
     if KEY_FRAME in features:
         return None if ARM in features else Execution.STREAM

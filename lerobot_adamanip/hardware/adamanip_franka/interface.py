@@ -92,7 +92,7 @@ def _kind(
             f"The policy was trained on another {name}.",
             got=f"{shape[0]} numbers",
             allowed=", ".join(f"{len(names)} ({kind})" for kind, names in kinds.items()),
-            hint="adamanip check RECORDING --repair converts recordings of the former format; then train again",
+            hint="train on recordings or demonstrations of this version",
         )
     if option not in (None, trained):
         raise _mismatch(name, option, trained, f"a policy of {shape[0]} numbers")
