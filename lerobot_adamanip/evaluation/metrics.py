@@ -235,7 +235,7 @@ class Metrics:
         failed_at: cause of a failed try, one of `FAILED_AT` -> mean count per success.
         failures: cause, one of `CAUSES` -> number of failed episodes.
         hidden: name of a hidden value -> success rate in its episodes; meaningful within one category.
-        key_frames: number of key frames -> number of successes. Old results contain the mean only.
+        key_frames: number of steps (key frames, or rows at control rate) -> number of successes. Old results contain the mean only.
         failed_tries: mean per success.
         untried: number of different failed tries so far -> share of next tries that differ from all of them.
         tried_locked_first: share of locked episodes in which the first try is a pull.
@@ -254,7 +254,7 @@ class Metrics:
     failures: Annotated[Mapping[str, int] | None, Metric("how failures ended", _failures, dict)] = None
     hidden: Annotated[Mapping[str, Rate] | None, Metric("by what is hidden", _by_hidden_value, dict)] = None
     key_frames: Annotated[
-        Mapping[float, int] | None, Metric("key frames of a success", _key_frames, dict, _show_key_frames)
+        Mapping[float, int] | None, Metric("steps of a success", _key_frames, dict, _show_key_frames)
     ] = None
     failed_tries: Annotated[Mean | None, Metric("failed tries", _mean_of_successes(count_tries), Mean)] = None
     untried: Annotated[Mapping[int, Rate] | None, Metric("something new after N failed tries", _untried, dict)] = None
