@@ -42,15 +42,24 @@ def plot_report(report: BenchmarkReport, folder: Path) -> list[Path]:
 def _plot_lines(
     lines: Mapping[str, Sequence[float]], x: Sequence[float], title: str, path: Path, *, marker: str, **settings: Any
 ) -> Path:
-    figure = new_figure(6.5, 4.0)
+    figure = new_figure(8.0, 4.5)
     axes = figure.subplots()
+    axes.set_prop_cycle(color=_colors(len(lines)))
     for name, y in lines.items():
         if y:
             axes.plot(x[: len(y)], y, marker=marker, label=name)
     axes.set(**settings)
-    axes.legend(frameon=False, fontsize=7)
+    figure.legend(loc="outside lower center", ncols=2, fontsize=6, frameon=False)
     save_figure(figure, title, path)
     return path
+
+
+def _colors(count: int) -> Sequence[Any]:
+    """Returns at least ``count`` different colours, up to 20."""
+    from matplotlib import colormaps
+
+    colors: Sequence[Any] = colormaps["tab10" if count <= 10 else "tab20"].colors  # type: ignore[attr-defined]
+    return colors
 
 
 def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
@@ -59,6 +68,7 @@ def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
     figure = new_figure(max(8.0, 3 + 0.16 * len(methods) * len(categories)), 3.4 * len(report.splits))
     panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
     for axes, objects in zip(panels, report.splits, strict=True):
+        axes.set_prop_cycle(color=_colors(len(methods)))
         bars = {}
         for number, name in enumerate(methods):
             entries = [report.entries.get((name, category, objects)) for category in categories]

@@ -235,7 +235,8 @@ class Metrics:
         failed_at: cause of a failed try, one of `FAILED_AT` -> mean count per success.
         failures: cause, one of `CAUSES` -> number of failed episodes.
         hidden: name of a hidden value -> success rate in its episodes; meaningful within one category.
-        key_frames: number of steps (key frames, or rows at control rate) -> number of successes. Old results contain the mean only.
+        key_frames: number of steps (key frames, or rows at control rate) -> number of successes. Old results contain
+            the mean only.
         failed_tries: mean per success.
         untried: number of different failed tries so far -> share of next tries that differ from all of them.
         tried_locked_first: share of locked episodes in which the first try is a pull.
