@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -11,12 +12,13 @@ import pytest
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
-from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES
+from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
+from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {
     name: (ROOT / name).read_text(encoding="utf-8")
-    for name in ("README.md", "docs/memory.md", "docs/lerobot_policies.md")
+    for name in ("README.md", "docs/memory.md", "docs/lerobot_policies.md", "docs/twin.md")
 }
 REPORTS: dict[str, BenchmarkReport] = {each.scale: each for each in make_results.benchmark_reports(ROOT / "results")}
 
@@ -100,3 +102,11 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
     rates = [(name, opened, novel[name].within_best_tries) for opened, name in least]
     both = ", ".join(f"{name}s {opened} and {within.count}" for name, opened, within in rates if within)
     assert f"opened and within the tries: {both}." in DOCUMENTS["docs/memory.md"]
+
+
+def test_the_twin_opens_what_the_evaluation_opened() -> None:
+    (row,) = read_result(ROOT / "results" / "first_number.json").rows
+    lines = (ROOT / "results" / "twin" / "first_number.jsonl").read_text(encoding="utf-8").splitlines()
+    opened = {line["seed"]: line["success"] for line in map(json.loads, lines)}
+    assert [opened[seed] for seed in sorted(opened)] == [outcome != FAILED for outcome in row.scene_outcomes]
+    assert f"opens {sum(opened.values())} of {len(opened)} safes on the twin" in DOCUMENTS["docs/twin.md"]
