@@ -53,7 +53,7 @@ def collected_episode() -> Way:
     spec = CollectionSpec(environment, ("microwave_000",), episodes_per_object=1)
     with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
         patch.setattr(jobs, "WorkerPool", InThisProcess)
-        collect(Path(folder) / "first", spec, Factories(make_environment, make_expert))  # what is cached has no part
+        collect(Path(folder) / "first", spec, Factories(make_environment, make_expert))  # fills the caches
         with traced() as way:
             summary = collect(Path(folder) / "dataset", spec, Factories(make_environment, make_expert))
     assert summary.episodes == 1

@@ -6,11 +6,11 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, EpisodeSpec
-from lerobot_adamanip.datasets.episode import HIDDEN_STATE
+from lerobot_adamanip.datasets.episode import HIDDEN_STATE, EpisodeDescription
 from lerobot_adamanip.datasets.manifest import AttemptCounts
 from lerobot_adamanip.evaluation.record import hidden_boundaries, hidden_names
 from lerobot_adamanip.util import json_fields
@@ -103,19 +103,7 @@ def count(attempts: list[AttemptRecord], wanted: int) -> AttemptCounts:
     return AttemptCounts(kept, len(attempts), wanted - kept)
 
 
-class HasHiddenState(Protocol):
-    """An attempt or an episode, both with an object and a hidden state."""
-
-    @property
-    def object_id(self) -> str:
-        """Object, which has a category."""
-
-    @property
-    def hidden_state(self) -> Mapping[str, Any] | None:
-        """Name -> hidden value; None without a layout."""
-
-
-def grouped_by_hidden_value[Item: HasHiddenState](items: Iterable[Item]) -> dict[str, list[Item]]:
+def grouped_by_hidden_value[Item: AttemptRecord | EpisodeDescription](items: Iterable[Item]) -> dict[str, list[Item]]:
     """Returns ``safe: locked`` -> attempts or episodes; each is listed under every one of its hidden values.
 
     Continuous values are split at their category's median. Those without a layout come last.

@@ -246,9 +246,9 @@ def test_the_documented_kinds_are_the_codes(project_root: Path) -> None:
     text = (project_root / "docs" / "checking.md").read_text(encoding="utf-8")
     match = re.search(r"<!-- kinds -->\n(.*?)<!-- /kinds -->", text, re.DOTALL)
     assert match is not None
-    told = dict(re.findall(r"^\| `([a-z-]+)` \| (warning: )?", match[1], re.MULTILINE))
-    assert told.keys() == set(KINDS)
-    assert {kind for kind, warning in told.items() if warning} == WARNINGS
+    documented = dict(re.findall(r"^\| `([a-z-]+)` \| (warning: )?", match[1], re.MULTILINE))
+    assert documented.keys() == set(KINDS)
+    assert {kind for kind, warning in documented.items() if warning} == WARNINGS
 
 
 def test_an_episode_that_does_not_tell_its_place_is_a_finding(published: Path, tmp_path: Path) -> None:

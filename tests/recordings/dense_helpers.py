@@ -204,7 +204,7 @@ def add(dataset: Any, episode: DenseEpisode) -> None:
 
 
 def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
-    """As `lerobot-record` writes it; where somebody could take over, as `lerobot-rollout` does without our recorder."""
+    """Writes a recording as `lerobot-record` does; with corrections, as `lerobot-rollout` does without our recorder."""
     lerobot_patches.restore()  # which would add its columns to the latter
     features = None
     if episodes[0].corrected is not None:

@@ -32,9 +32,9 @@ def test_a_state_with_a_clock_and_the_result_is_one_clear_error(
     root = Path(shutil.copytree(earlier, tmp_path / "recording"))
     name, *options = (word.replace("OUT", str(tmp_path / "out")) for word in command)
     assert main([name, str(root), *options]) == (1 if name == "check" else 2)
-    told = "".join(capsys.readouterr())
-    assert "its state holds a clock and the result" in told
-    assert "Traceback" not in told
+    printed = "".join(capsys.readouterr())
+    assert "its state holds a clock and the result" in printed
+    assert "Traceback" not in printed
 
 
 def test_a_recording_has_the_columns_of_simulated_demonstrations() -> None:
