@@ -2,77 +2,17 @@
 
 from __future__ import annotations
 
-import tempfile
+import multiprocessing
 from collections.abc import Callable
-from pathlib import Path
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any
 
 import numpy as np
 import pytest
+from uses import collected_episode, reported_episode, step_in_mid_episode
 from ways import Way, traced
 
 SIMULATED = pytest.mark.sim
-
-
-def step_in_mid_episode() -> Way:
-    """One `env.step`: the adaptive expert's hand pulls at the locked door of a safe."""
-    from lerobot_adamanip.experts import Phase, make_expert
-    from lerobot_env_adamanip.keyframe_env import KeyframeEnv
-
-    env = KeyframeEnv("safe", objects="safe_000", num_points=128, observe_images=False)
-    try:
-        env.reset(seed=0, options={"hidden_overrides": {"locked": True}})
-        expert = make_expert("safe", "adaptive", env.annotations, generator=np.random.default_rng(0))
-        goal = next(expert)
-        while goal.phase in (Phase.APPROACH, Phase.GRASP):
-            env.step(goal.action())
-            goal = expert.send(env.feedback)
-        action = goal.action()
-        with traced() as way:
-            _, _, terminated, truncated, _ = env.step(action)
-        assert not terminated
-        assert not truncated
-        return way
-    finally:
-        env.close()
-
-
-def collected_episode() -> Way:
-    """`collect` from an empty folder to a dataset of one microwave, in this process."""
-    from demos_helpers import InThisProcess
-
-    from lerobot_adamanip.collection.collect import collect
-    from lerobot_adamanip.collection.record import Factories
-    from lerobot_adamanip.datasets.collection_spec import CollectionSpec
-    from lerobot_adamanip.episode.options import EnvironmentOptions
-    from lerobot_adamanip.experts import make_expert
-    from lerobot_adamanip.util import jobs
-    from lerobot_env_adamanip.make_environment import make_environment
-
-    environment = EnvironmentOptions("microwave", objects="microwave_000", num_points=128, observe_images=False)
-    spec = CollectionSpec(environment, ("microwave_000",), episodes_per_object=1)
-    with tempfile.TemporaryDirectory() as folder, pytest.MonkeyPatch.context() as patch:
-        patch.setattr(jobs, "WorkerPool", InThisProcess)
-        collect(Path(folder) / "first", spec, Factories(make_environment, make_expert))  # fills the caches
-        with traced() as way:
-            summary = collect(Path(folder) / "dataset", spec, Factories(make_environment, make_expert))
-    assert summary.episodes == 1
-    return way
-
-
-def reported_episode() -> Way:
-    """An episode's record to the log, and to a row of `adamanip report`."""
-    from records import record
-
-    from lerobot_adamanip.evaluation.record import append_record, read_log
-    from lerobot_adamanip.evaluation.report import compare
-
-    episode = record()
-    with tempfile.TemporaryDirectory() as folder, traced() as way:
-        append_record(Path(folder) / "log.jsonl", episode)
-        table = compare({"log": read_log(Path(folder) / "log.jsonl")}).table()
-    assert "100" in table
-    return way
 
 
 WAYS: list[Any] = [
@@ -85,7 +25,9 @@ WAYS: list[Any] = [
 
 @pytest.mark.parametrize(("use", "files", "functions"), WAYS)
 def test_a_way_is_no_longer_than_its_bound(use: Callable[[], Way], files: int, functions: int) -> None:
-    way = use()
+    # In a process of its own: what other tests have cached, or leave to be closed, is no part of the way.
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as process:
+        way = process.submit(use).result()
     assert 0 < len(way.files) <= files, way
     assert len(way.functions) <= functions, way
 
