@@ -32,8 +32,18 @@ simulated_arm() {
             "$python" -m pytest -m franky
 }
 
+# `transformers` would add two seconds to each start of LeRobot's commands: it has a separate folder too.
+language_policies() {
+    local here
+    here=$(realpath -m "$out")/transformers
+    "$python" -m pip install --quiet --target "$here" --no-deps -c constraints.txt \
+        transformers tokenizers num2words docopt annotated-doc shellingham typer &&
+        PYTHONPATH="$here${PYTHONPATH:+:$PYTHONPATH}" "$python" -m pytest -m transformers
+}
+
 tests=("$python" -m pytest -n "$workers" --dist worksteal)
-part "long tests" "${tests[@]}" -m "nightly and not franky"
+part "long tests" "${tests[@]}" -m "nightly and not franky and not transformers"
+part "language policies" language_policies
 part "simulated FR3" simulated_arm
 part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
 # Fails below 97 % in a category or 99 % on average, for either expert and any preset.
