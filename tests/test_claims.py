@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from pathlib import Path
 
@@ -13,6 +12,7 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -106,7 +106,6 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
 
 def test_the_twin_opens_what_the_evaluation_opened() -> None:
     (row,) = read_result(ROOT / "results" / "first_number.json").rows
-    lines = (ROOT / "results" / "twin" / "first_number.jsonl").read_text(encoding="utf-8").splitlines()
-    opened = {line["seed"]: line["success"] for line in map(json.loads, lines)}
+    opened = {each.seed: each.success for each in read_log(ROOT / "results" / "twin" / "first_number.jsonl")}
     assert [opened[seed] for seed in sorted(opened)] == [outcome != FAILED for outcome in row.scene_outcomes]
     assert f"opens {sum(opened.values())} of {len(opened)} safes on the twin" in DOCUMENTS["docs/twin.md"]

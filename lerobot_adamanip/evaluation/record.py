@@ -33,7 +33,7 @@ TryMade = tuple[int, int, bool]
 """A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
 Boundaries = Mapping[tuple[str, str], float]
 """(category, hidden name) -> median that halves a continuous range."""
-_OPTIONAL: Mapping[str, Any] = {"repeat": 0, "sensing": EXACT, "hints": 0.0}
+_OPTIONAL: Mapping[str, Any] = {"repeat": 0, "sensing": EXACT, "hints": 0.0, "episode": None, "seconds": None}
 """Fields that a log holds only if they differ from these values."""
 _STORED_RULES = "mechanism_preset"
 """Key of the mechanism rules in a log."""
@@ -85,7 +85,7 @@ class EpisodeRecord:
         hidden_state: sampled values, name -> value.
         poses: preset of the poses.
         success: whether the object was opened.
-        key_frames: number of steps.
+        key_frames: number of steps: key frames, or commands at control rate.
         max_key_frames: number of steps allowed.
         clipped_goals: number of steps with a commanded position outside the arm's box.
         try_sequence: each try in order.
@@ -94,6 +94,8 @@ class EpisodeRecord:
         repeat: number of the episodes in a row before this one that played the same scene, see ``--env.repeats``.
         sensing: errors of the sensors, see `lerobot_adamanip.contract.sensing`.
         hints: share of episodes whose instruction says what is hidden.
+        episode: number in the recording, of an episode that the robot's twin recorded.
+        seconds: simulated time, of an episode of the twin.
         provenance: software and run.
     """
 
@@ -114,6 +116,8 @@ class EpisodeRecord:
     repeat: int = 0
     sensing: str = EXACT
     hints: float = 0.0
+    episode: int | None = None
+    seconds: float | None = None
     provenance: Provenance
 
     @property
@@ -361,6 +365,8 @@ _RECORD = json_fields.table(
         "repeat": _COUNT,
         "sensing": json_fields.text(SENSING_TEXT, "a level of sensing with its parts"),
         "hints": json_fields.number(0.0, 1.0),
+        "episode": json_fields.optional(_COUNT),
+        "seconds": json_fields.optional(json_fields.number(0.0, 1e9)),
         "poses": json_fields.choice(POSES),
         "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),

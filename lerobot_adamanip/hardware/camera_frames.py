@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,17 @@ class CameraCalibration:
     depth_in_tcp: NDArray[np.float64] | None = None
     color: Intrinsics | None = None
     depth_in_color: NDArray[np.float64] | None = None
+
+    @property
+    def depth_pose(self) -> NDArray[np.float64]:
+        """(4, 4) pose of the depth imager in the base frame, or in the tool frame for a camera on the hand [m]."""
+        pose = self.depth_in_tcp if self.depth_in_base is None else self.depth_in_base
+        assert pose is not None
+        return pose
+
+    def at(self, pose: NDArray[np.float64]) -> CameraCalibration:
+        """Returns the calibration of the same camera with another `depth_pose`."""
+        return replace(self, depth_in_tcp=pose) if self.depth_in_base is None else replace(self, depth_in_base=pose)
 
 
 def simulated_calibration(camera: Mapping[str, Any], name: str = "simulated") -> CameraCalibration:

@@ -31,11 +31,14 @@ OUTCOME_NAME = "arm.outcome"
 """`keyframes.Outcome` of the latest key frame; -1 before the first and during streaming."""
 STAMP_NAME = "arm.stamp"
 """Measurement time of the state [s since connection]. LeRobot's rows have only the loop's nominal time."""
-ARM_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME)
-UNLABELLED = -1
-"""Phase and trial of human demonstrations."""
 FRONT_CAMERA = "front"
 """Key of the camera whose depth becomes the point cloud."""
+CAMERA_NAMES = tuple(f"{FRONT_CAMERA}_camera.{name.removesuffix('.pos')}" for name in POSE_NAMES[:9])
+"""Names of the front depth imager's pose, in the base or tool frame as in its calibration; zeros without one. It may
+change between episodes: a simulated camera stands elsewhere in each scene, a real one is calibrated again."""
+ARM_NAMES = (*STATE_NAMES, *EFFORT_NAMES, *SENT_NAMES, OUTCOME_NAME, STAMP_NAME, *CAMERA_NAMES)
+UNLABELLED = -1
+"""Phase and trial of human demonstrations."""
 DEPTH_SUFFIX = "_depth"
 """Suffix of a camera's depth image: uint16 [mm], 0 for invalid pixels."""
 

@@ -7,9 +7,11 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import FINGER_TRAVEL, FULL
+from lerobot_adamanip.contract.rotations import pose_vector
 from lerobot_adamanip.hardware.arm import ArmReading
+from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.dense_kinds import encode_action, state_of
-from lerobot_adamanip.hardware.features import ARM, UNLABELLED
+from lerobot_adamanip.hardware.features import ARM, CAMERA_NAMES, UNLABELLED
 from lerobot_adamanip.hardware.target_geometry import Target
 
 Row = dict[str, NDArray[np.generic]]
@@ -18,7 +20,9 @@ MAX_ROWS = 4096
 """Number of observations whose rows are kept. A rollout may store an observation seconds later."""
 
 
-def recorded_row(action: str, reading: ArmReading, sent: Target, stamp: float) -> Row:
+def recorded_row(
+    action: str, reading: ArmReading, sent: Target, stamp: float, camera: CameraCalibration | None = None
+) -> Row:
     """Returns the added columns of one row, before its action.
 
     Nobody labels the tries of a person: their codes are `UNLABELLED` or 0. The object's joints are unknown and 0.
@@ -28,9 +32,11 @@ def recorded_row(action: str, reading: ArmReading, sent: Target, stamp: float) -
         reading: arm reading of the observation.
         sent: (10,) last accepted target.
         stamp: measurement time since connection [s].
+        camera: calibration of the front camera at this moment.
     """
     outcome = NO_OUTCOME if reading.outcome is None else float(reading.outcome)
-    arm = (state_of(FULL, reading), reading.effort, sent, (outcome, stamp))
+    seen_from = np.zeros(len(CAMERA_NAMES)) if camera is None else pose_vector(camera.depth_pose, 0.0)[:-1]
+    arm = (state_of(FULL, reading), reading.effort, sent, (outcome, stamp), seen_from)
     joints = (reading.qpos, np.full(2, FINGER_TRAVEL * reading.gripper), np.zeros(schema.MAX_OBJECT_JOINTS))
     codes = {schema.PHASE: UNLABELLED, schema.TRIAL: UNLABELLED, schema.TRIED: -1, schema.OUTCOME: schema.GOES_ON}
     labels = {key: np.array([codes.get(key, 0)], dtype) for key, dtype in schema.LABEL_DTYPES.items()}

@@ -19,6 +19,7 @@ from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.hardware.arm import ArmReading, Execution
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.dense_kinds import encode_action, named_state, state_of
+from lerobot_adamanip.hardware.features import FRONT_CAMERA
 from lerobot_adamanip.hardware.recorded_rows import ObservedRows, recorded_row
 from lerobot_adamanip.hardware.safety import SafetyLimits
 
@@ -79,7 +80,8 @@ class RobotSession:
         self.reading = reading
         sent = pose_vector(reading.tcp_in_base, reading.gripper) if self.sent is None else self.sent
         state = state_of(self.state, reading)
-        self.rows.add(state, recorded_row(self.action, reading, sent, stamp))
+        camera = self.calibrations.get(FRONT_CAMERA)
+        self.rows.add(state, recorded_row(self.action, reading, sent, stamp, camera))
         return {**named_state(self.state, reading), **self._remember(state)}
 
     def _remember(self, state: NDArray[np.float32]) -> dict[str, float]:

@@ -49,6 +49,7 @@ from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations, save_calibration
 from lerobot_adamanip.hardware.features import (
     CALIBRATIONS,
+    FRONT_CAMERA,
     SAFETY,
     is_dense,
     recorded_features,
@@ -264,7 +265,9 @@ def repair_recording(root: Path) -> None:
 
 
 def require_same_cameras(root: Path) -> None:
-    """Checks that the connected robot has the recorded camera calibrations: conversion uses them for all episodes.
+    """Checks that the connected robot has the recorded cameras: conversion uses their calibrations for all episodes.
+
+    The front camera may have moved, since rows hold its pose.
 
     Raises:
         ConfigurationError: a camera differs by more than `MAX_MOVED_MM`.
@@ -274,10 +277,13 @@ def require_same_cameras(root: Path) -> None:
         return
     recorded = read_calibrations(path)
     for key in recorded.keys() & session.calibrations.keys():
-        moved = _points_ahead(recorded[key]) - _points_ahead(session.calibrations[key])
+        before, now = recorded[key], session.calibrations[key]
+        if key == FRONT_CAMERA and (before.depth_in_base is None) == (now.depth_in_base is None):
+            now = now.at(before.depth_pose)
+        moved = _points_ahead(before) - _points_ahead(now)
         if (moved_mm := 1e3 * np.linalg.norm(moved, axis=1).max()) > MAX_MOVED_MM:
             raise ConfigurationError(
-                "This recording cannot be resumed: a camera was calibrated again.",
+                "This recording cannot be resumed: a camera is another one, or was calibrated again.",
                 got=f"camera {key}, moved by {moved_mm:.0f} mm at a distance of 1 m; nothing was recorded",
                 allowed=f"the calibration in {path}, within {MAX_MOVED_MM:g} mm",
                 hint="a new --dataset.root without --resume; convert each with adamanip keyframes",
@@ -286,8 +292,7 @@ def require_same_cameras(root: Path) -> None:
 
 def _points_ahead(camera: CameraCalibration) -> NDArray[np.float64]:
     """Returns the corners of the picture 1 m ahead (4, 3), base or tool frame [m]."""
-    pose = camera.depth_in_tcp if camera.depth_in_base is None else camera.depth_in_base
-    assert pose is not None
+    pose = camera.depth_pose
     pixels = np.array([(x, y, 1.0) for x in (0, camera.depth.width - 1) for y in (0, camera.depth.height - 1)])
     return np.linalg.solve(camera.depth.matrix, pixels.T).T @ pose[:3, :3].T + pose[:3, 3]
 

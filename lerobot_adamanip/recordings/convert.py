@@ -171,6 +171,8 @@ class _Conversion:
         for recording in recordings:
             calibration = recording.calibration(self.options.calibration)
             for number in range(len(recording)):
+                if self.options.calibration is None:
+                    calibration = recording.calibration_of(number, calibration)
                 for begin, part in _parts(recording.episode(number)):
                     converted = self._converted(recording, number, begin, part, calibration)
                     if converted is not None:

@@ -21,6 +21,7 @@ from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_cali
 from lerobot_adamanip.hardware.features import (
     ARM,
     CALIBRATIONS,
+    CAMERA_NAMES,
     DEPTH_SUFFIX,
     FRONT_CAMERA,
     INTERVENTION,
@@ -100,6 +101,14 @@ class DenseRecording:
         if self.camera not in known:
             raise _unusable(self.root, f"calibrations of {', '.join(known)}", self.camera, "--camera, --calibration")
         return known[self.camera]
+
+    def calibration_of(self, number: int, calibration: CameraCalibration) -> CameraCalibration:
+        """Returns the calibration with the camera's pose in an episode, if its rows hold one: the latest."""
+        columns = self.dataset.columns(self.dataset.episode(number))
+        if self.camera != FRONT_CAMERA or not set(CAMERA_NAMES) <= set(self._names):
+            return calibration
+        pose = columns[ARM][-1, [self._names.index(name) for name in CAMERA_NAMES]]
+        return calibration.at(pose_from_vector([*pose, 0.0])[0]) if pose.any() else calibration
 
     def __len__(self) -> int:
         return len(self.dataset)

@@ -137,14 +137,12 @@ def camera_record(calibration: CameraCalibration, size: int | None) -> dict[str,
     matrix[:2, 2] += 0.5  # from the corner, where scaling has its fixed point
     matrix = np.diag([scale, scale, 1.0]) @ matrix
     matrix[:2, 2] -= 0.5
-    is_fixed = calibration.depth_in_base is not None
-    depth_pose = calibration.depth_in_base if is_fixed else calibration.depth_in_tcp
-    pose = np.eye(4) if depth_pose is None else depth_pose
+    pose = calibration.depth_pose
     if calibration.color is not None and calibration.depth_in_color is not None:
         pose = pose @ np.linalg.inv(calibration.depth_in_color)
     record = {"intrinsics": matrix.tolist(), "extrinsics": pose.tolist(), "width": pixels, "height": pixels}
     record["convention"] = PIXEL_CONVENTION
-    return record if is_fixed else {**record, "frame": "tcp"}
+    return {**record, "frame": "tcp"} if calibration.depth_in_base is None else record
 
 
 def _joints(state: NDArray[np.float32]) -> NDArray[np.float32]:

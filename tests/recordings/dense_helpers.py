@@ -20,6 +20,7 @@ from lerobot_adamanip.hardware.dense_kinds import encode_action, state_of
 from lerobot_adamanip.hardware.features import (
     ARM,
     CALIBRATIONS,
+    CAMERA_NAMES,
     DEPTH_SUFFIX,
     INTERVENTION,
     names_of,
@@ -123,7 +124,8 @@ def dense_episode(
 def arm_rows(episode: DenseEpisode) -> NDArray[np.float32]:
     """Values of the column `ARM`."""
     told = np.stack([episode.outcome, episode.stamp], axis=1)
-    return np.concatenate([episode.state, episode.effort, episode.sent, told], axis=1).astype(np.float32)
+    seen_from = np.zeros((len(told), len(CAMERA_NAMES)))
+    return np.concatenate([episode.state, episode.effort, episode.sent, told, seen_from], axis=1).astype(np.float32)
 
 
 def depth_at(tick: int) -> NDArray[np.uint16]:
@@ -133,11 +135,11 @@ def depth_at(tick: int) -> NDArray[np.uint16]:
     return depth
 
 
-def calibration() -> CameraCalibration:
-    """A camera at the base that looks along x."""
+def calibration(episode: int = 0) -> CameraCalibration:
+    """A camera at the base that looks along x. It is moved by 5 cm after each episode."""
     middle = SIZE / 2
     matrix = np.array([[FOCAL, 0, middle], [0, FOCAL, middle], [0, 0, 1.0]])
-    looks = transform((-0.3, 0.0, 0.75), np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float64))
+    looks = transform((-0.3 + 0.05 * episode, 0.0, 0.75), np.array([[0, 0, 1], [-1, 0, 0], [0, -1, 0]], np.float64))
     return CameraCalibration("front", Intrinsics(matrix, np.zeros(0), SIZE, SIZE), looks)
 
 
@@ -177,8 +179,8 @@ def reading_at(episode: DenseEpisode, tick: int) -> ArmReading:
     return ArmReading(stamp, stamp, pose, gripper, qpos, qvel, episode.effort[tick], ArmMode.IDLE)
 
 
-def frames(episode: DenseEpisode, features: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    """Rows as the recorder adds them, or as LeRobot does without its columns."""
+def frames(episode: DenseEpisode, features: dict[str, Any], number: int = 0) -> Iterator[dict[str, Any]]:
+    """Rows of episode ``number`` as the recorder adds them, or as LeRobot does without its columns."""
     for tick, reading in enumerate(reading_at(episode, tick) for tick in range(len(episode))):
         frame = {
             STATE: arm_rows(episode)[tick][: len(names_of(features[STATE]))],
@@ -189,9 +191,9 @@ def frames(episode: DenseEpisode, features: dict[str, Any]) -> Iterator[dict[str
         }
         if ARM in features:
             action = encode_action(EE_DELTA, episode.asked[tick], reading)
-            frame |= recorded_row(EE_DELTA, reading, episode.sent[tick], reading.stamp)
+            frame |= recorded_row(EE_DELTA, reading, episode.sent[tick], reading.stamp, calibration(number))
             frame |= {STATE: state_of(POSE, reading), ACTION: np.array(list(action.values()), np.float32)}
-            frame |= {ARM: arm_rows(episode)[tick], SUCCESS: episode.success[tick : tick + 1]}
+            frame[SUCCESS] = episode.success[tick : tick + 1]
             frame[DONE] = np.array([tick == len(episode) - 1])
         if episode.corrected is not None:
             frame[INTERVENTION] = episode.corrected[tick : tick + 1]
@@ -199,7 +201,7 @@ def frames(episode: DenseEpisode, features: dict[str, Any]) -> Iterator[dict[str
 
 
 def add(dataset: Any, episode: DenseEpisode) -> None:
-    for frame in frames(episode, dataset.meta.features):
+    for frame in frames(episode, dataset.meta.features, dataset.num_episodes):
         dataset.add_frame(frame)
 
 

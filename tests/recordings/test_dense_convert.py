@@ -30,7 +30,6 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 POINTS = 64
 OPTIONS = ConvertOptions(rows=RowOptions(num_points=POINTS))
-CAMERA_X = -0.3
 
 
 @pytest.fixture(scope="module")
@@ -74,10 +73,10 @@ def test_every_action_is_an_accepted_target(recording: Path, converted: Path) ->
 
 def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
     rows, number = rows_of(converted), 0
-    for text in Dataset(converted).table["recorded"].to_pylist():
+    for episode, text in enumerate(Dataset(converted).table["recorded"].to_pylist()):
         for tick in json.loads(text)["ticks"]:
             cloud = as_points(np.asarray(rows[number][schema.POINT_CLOUD]))
-            wanted = CAMERA_X + float(depth_at(tick).max()) / 1000.0
+            wanted = calibration(episode).depth_pose[0, 3] + float(depth_at(tick).max()) / 1000.0
             assert np.abs(cloud[:, 0] - wanted).max() < 1e-3
             shade = float(rows[number][schema.FRONT_IMAGE].mean()) * 255.0
             assert abs(shade - tick % 250) < 4.0

@@ -27,7 +27,7 @@ from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, Intrinsics
-from lerobot_adamanip.hardware.features import ARM, CALIBRATIONS, is_dense, recorded_features
+from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, CALIBRATIONS, STAMP_NAME, is_dense, recorded_features
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 from lerobot_adamanip.util import files
@@ -139,7 +139,7 @@ def require_readable(root: Path, saved: list[tuple[int, int]]) -> int:
             assert int(item["episode_index"]) == number
             assert int(item["frame_index"]) == row - first
             shade = float(item["observation.images.front"].mean()) * 255.0
-            tick = float(item[ARM][-1]) * 30.0
+            tick = float(item[ARM][ARM_NAMES.index(STAMP_NAME)]) * 30.0
             assert bool(item[schema.DONE]) == (row == first + rows - 1)
             assert abs(shade - tick % 200) < 4.0
             assert abs(float(item["observation.images.front_depth"].mean()) - (600 + tick % 200)) < 3.0
@@ -236,12 +236,12 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
     assert repair(root).mended == []
 
 
-def test_a_recording_is_not_resumed_with_a_moved_camera(tmp_path: Path) -> None:
+def test_a_recording_is_resumed_with_a_moved_front_camera_and_not_with_another(tmp_path: Path) -> None:
     session, root = ROBOTS.open("arm"), tmp_path / "dense"
-    imager = Intrinsics(np.array([[300.0, 0, 128], [0, 300, 128], [0, 0, 1]]), np.zeros(0), 256, 256)
 
-    def record(dataset: LeRobotDataset, moved_m: float) -> None:
-        pose = transform((0.0, moved_m, 0.0))
+    def record(dataset: LeRobotDataset, moved_m: float, focal: float = 300.0) -> None:
+        matrix = np.array([[focal, 0, 128], [0, focal, 128], [0, 0, 1]])
+        imager, pose = Intrinsics(matrix, np.zeros(0), 256, 256), transform((0.0, moved_m, 0.0))
         session.calibrations["front"] = CameraCalibration("front", imager, pose)
         try:
             dataset.add_frame({**ROW, "task": "open it"})
@@ -252,9 +252,9 @@ def test_a_recording_is_not_resumed_with_a_moved_camera(tmp_path: Path) -> None:
     try:
         record(LeRobotDataset.create("local/dense", 30, FEATURES, root=root), 0.0)
         recorded = (root / CALIBRATIONS).read_bytes()
-        with pytest.raises(ConfigurationError, match=r"(?s)camera front, moved by 10 mm.*a new --dataset\.root"):
-            record(LeRobotDataset.resume("local/dense", root=root), 0.01)
-        record(LeRobotDataset.resume("local/dense", root=root), 0.002)
+        with pytest.raises(ConfigurationError, match=r"(?s)camera front, moved by 21 mm.*a new --dataset\.root"):
+            record(LeRobotDataset.resume("local/dense", root=root), 0.01, focal=290.0)
+        record(LeRobotDataset.resume("local/dense", root=root), 0.01)
     finally:
         ROBOTS.close("arm")
     assert LeRobotDataset("local/dense", root=root).num_episodes == 2

@@ -234,10 +234,11 @@ def test_the_operators_key_puts_the_scene_up_anew(make: Any, process: FakeProces
 
 def test_an_episode_is_logged_beside_its_dataset_and_not_in_it(make: Any, process: FakeProcess, tmp_path: Path) -> None:
     robot = make()
+    robot.send_action(action(robot))
     process.success = True
     robot.end_episode(3, tmp_path / "recorded")
     (line,) = (tmp_path / "recorded.episodes.jsonl").read_text().splitlines()
-    assert json.loads(line) == {"episode": 3, "success": True}
+    assert json.loads(line) == {"episode": 3, "success": True, "key_frames": 1}
 
 
 def test_key_frames_end_with_the_episode_and_so_does_the_command(

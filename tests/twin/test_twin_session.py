@@ -23,9 +23,12 @@ from lerobot_adamanip.contract.dense_codec import pose_of_delta
 from lerobot_adamanip.contract.memory import MEMORY
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.episode.memory import Memory, stored_memory
+from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, SENT_NAMES, STAMP_NAME
 from lerobot_env_adamanip.dense_env import DenseEnv
+from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 ROOT = Path(__file__).resolve().parents[2]
 SEED, FPS, SIZE = 1000, 10, 64
@@ -79,11 +82,12 @@ def rows(root: Path) -> Any:
 
 @pytest.mark.nightly
 def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> None:
-    log = lines_of(recorded.with_name("recorded.episodes.jsonl"))
-    assert [line["episode"] for line in log] == [0, 1]
-    assert [line["given_seed"] for line in log] == [SEED, SEED + 1]  # a session that goes on counts on
-    assert [line["hidden_state"]["locked"] for line in log] == [False, True]
-    assert [line["success"] for line in log] == [True, True]
+    log = read_log(recorded.with_name("recorded.episodes.jsonl"))
+    assert [each.episode for each in log] == [0, 1]
+    assert [each.given_seed for each in log] == [SEED, SEED + 1]  # a session that goes on counts on
+    assert [each.locked for each in log] == [False, True]
+    assert [each.success for each in log] == [True, True]
+    assert all(each.key_frames > 0 for each in log)
 
 
 def test_a_second_of_the_twin_has_the_columns_of_simulated_demonstrations(short: Path) -> None:
@@ -191,6 +195,16 @@ def test_its_key_frames_hold_accepted_targets_and_train_beside_simulated_ones(re
     assert accepted_targets(recorded, tmp_path / "converted")
     state = rows(tmp_path / "converted")["observation.state"]
     assert len(state) < len(rows(recorded)) / 10
+    env = KeyframeEnv("microwave", observe_images=False)
+    try:
+        cameras = Dataset(tmp_path / "converted").table["camera"].to_pylist()
+        for camera, record in zip(cameras, read_log(recorded.with_name("recorded.episodes.jsonl")), strict=True):
+            env.reset(seed=record.seed)  # the camera stands elsewhere in each scene
+            np.testing.assert_allclose(
+                json.loads(camera)["extrinsics"], env.camera_parameters()["extrinsics"], atol=1e-6
+            )
+    finally:
+        env.close()
 
 
 @pytest.mark.nightly

@@ -41,7 +41,7 @@ class AdamanipFrankaSim(AdamanipFranka):
     def _stands_at(self, seed: int) -> None:
         """Stores that the scene of a seed is loaded and untouched."""
         self._seed, self._moved = seed, False
-        self._key_frames, self._over = 0, False
+        self._sent, self._over = 0, False
 
     # Connection ------------------------------------------------------------------------------------------------------
 
@@ -117,8 +117,8 @@ class AdamanipFrankaSim(AdamanipFranka):
         self._moved = True
         sent: dict[str, float] = super().send_action(action)
         is_key_frame, ends = self.config.execution == "keyframe", self.config.end_when_done
-        self._key_frames += is_key_frame
-        is_last = is_key_frame and self._key_frames >= self.config.max_key_frames
+        self._sent += 1
+        is_last = is_key_frame and self._sent >= self.config.max_key_frames
         self._over = (is_key_frame or ends) and (is_last or self._succeeded())
         if self._over and ends:
             signal.raise_signal(signal.SIGINT)
@@ -162,4 +162,4 @@ class AdamanipFrankaSim(AdamanipFranka):
     def _log(self, path: Path, index: int | None) -> None:
         assert self._client is not None
         result = self._client.request("episode", time_limit=RESET_TIME)
-        files.append_line(path, json.dumps({"episode": index, **result}))
+        files.append_line(path, json.dumps({"episode": index, **result, "key_frames": self._sent}))
