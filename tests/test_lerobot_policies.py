@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import re
 import shutil
 import subprocess
@@ -13,39 +12,14 @@ from pathlib import Path
 import pytest
 import torch
 from doc_data import collect_fake_demos
-from documents import ROOT, blocks, commands
+from documents import ROOT, blocks
+from page_commands import documented, run
 from sound_demos import collect_sound
 
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_policy_adamanip.common.cloud_to_points_step import CloudToPointsStep
 
 PAGE = "docs/lerobot_policies.md"
-MODULES = {"lerobot-train": "lerobot.scripts.lerobot_train", "lerobot-eval": "lerobot.scripts.lerobot_eval"}
-
-
-def documented(program: str, mark: str) -> list[str]:
-    """The page's command of a program that says ``mark``."""
-    found = [param.values[0] for param in commands(program) if param.id.startswith(PAGE)]
-    (words,) = (words for words in found if any(mark in word for word in words))
-    return words
-
-
-def run(words: list[str], folder: Path, *changes: str, path: Path | None = None) -> str:
-    """Runs a command with some of its options changed, as a user starts it; returns what it said."""
-    changed = {change.partition("=")[0] for change in changes}
-    kept = [word for word in words[1:] if word.partition("=")[0] not in changed]
-    paths = [*([str(path)] if path else []), str(ROOT), str(ROOT / "envs"), str(ROOT / "policies")]
-    done = subprocess.run(
-        [sys.executable, "-m", MODULES[words[0]], *kept, *changes],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(paths), "HF_HUB_OFFLINE": "1"},
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=280,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr[-4000:]
-    return done.stdout + done.stderr
 
 
 @pytest.fixture

@@ -32,8 +32,11 @@ def documented(program: str, mark: str, *pages: str) -> list[str]:
     raise AssertionError(f"no {program} of {mark}")
 
 
-def run(words: list[str], folder: Path, *changes: str) -> str:
-    """Runs a command with some of its options changed, as a user starts it; returns its output."""
+def run(words: list[str], folder: Path, *changes: str, path: Path | None = None) -> str:
+    """Runs a command with some of its options changed, as a user starts it; returns its output.
+
+    ``path`` is a folder of further packages.
+    """
     names = {change.partition("=")[0] for change in changes}
     kept, skips = [], False
     for word in words[1:]:  # options of adamanip have their value in the next word
@@ -41,10 +44,10 @@ def run(words: list[str], folder: Path, *changes: str) -> str:
             continue
         skips = word in names
         kept += [] if word.partition("=")[0] in names else [word]
-    folders = [str(ROOT), str(ROOT / "envs"), str(ROOT / "policies"), os.environ.get("PYTHONPATH", "")]
+    folders = [path or "", ROOT, ROOT / "envs", ROOT / "policies", os.environ.get("PYTHONPATH", "")]
     done = subprocess.run(
         [sys.executable, "-m", MODULES[words[0]], *kept, *changes],
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, folders))},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, map(str, folders))), "HF_HUB_OFFLINE": "1"},
         cwd=folder,
         capture_output=True,
         text=True,
