@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
@@ -27,7 +28,16 @@ from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.statistics import compute_statistics, write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, camera_records, cameras_json, workspace_info
-from lerobot_adamanip.hardware.features import ARM, CALIBRATIONS, SAFETY, is_dense
+from lerobot_adamanip.hardware.camera_frames import read_calibrations, to_json
+from lerobot_adamanip.hardware.features import (
+    ARM,
+    CALIBRATIONS,
+    CAMERA_NAMES,
+    FRONT_CAMERA,
+    SAFETY,
+    is_dense,
+    names_of,
+)
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.json_fields import read
@@ -208,7 +218,7 @@ def _describe(
 def _require_same_calibrations(sources: Sequence[Dataset]) -> None:
     """Raises `DatasetError` for recordings with different calibrations, since a dataset holds only one."""
     dense = [source for source in sources if is_dense(source.features)]
-    if len({tuple(_content(source.root / name) for name in _OF_ROBOT) for source in dense}) > 1:
+    if len(set(map(_robot, dense))) > 1:
         names = " ".join(as_typed(source.root) for source in dense)
         raise DatasetError(
             "These recordings have different camera calibrations or safety limits; a recording can hold only one.",
@@ -216,6 +226,15 @@ def _require_same_calibrations(sources: Sequence[Dataset]) -> None:
             allowed=f"recordings with the same {' and '.join(_OF_ROBOT)}",
             hint=f"adamanip keyframes {names} --out BOTH, which converts each with its own",
         )
+
+
+def _robot(recording: Dataset) -> tuple[bytes, bytes | None]:
+    """Returns its calibrations, without the pose of a front camera that its rows hold, and its safety limits."""
+    path = recording.root / CALIBRATIONS
+    known = read_calibrations(path) if path.is_file() else {}
+    if FRONT_CAMERA in known and set(CAMERA_NAMES) <= set(names_of(recording.features.get(ARM))):
+        known[FRONT_CAMERA] = known[FRONT_CAMERA].at(np.eye(4))
+    return to_json(known), _content(recording.root / SAFETY)
 
 
 def _copy(source: Path, out: Path, names: Sequence[str]) -> None:

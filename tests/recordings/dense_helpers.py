@@ -200,12 +200,12 @@ def frames(episode: DenseEpisode, features: dict[str, Any], number: int = 0) -> 
         yield {key: value for key, value in frame.items() if key in features or key == "task"}
 
 
-def add(dataset: Any, episode: DenseEpisode) -> None:
-    for frame in frames(episode, dataset.meta.features, dataset.num_episodes):
+def add(dataset: Any, episode: DenseEpisode, moved: int = 0) -> None:
+    for frame in frames(episode, dataset.meta.features, moved + dataset.num_episodes):
         dataset.add_frame(frame)
 
 
-def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
+def write_recording(root: Path, *episodes: DenseEpisode, moved: int = 0) -> Path:
     """Writes a recording as `lerobot-record` does; with corrections, as `lerobot-rollout` does without our recorder."""
     lerobot_patches.restore()  # which would add its columns to the latter
     features = None
@@ -214,8 +214,8 @@ def write_recording(root: Path, *episodes: DenseEpisode) -> Path:
         features = {**dense_features(STATE_NAMES, POSE_NAMES), INTERVENTION: taken_over}
     dataset = begun(root, features)
     for episode in episodes:
-        add(dataset, episode)
+        add(dataset, episode, moved)
         dataset.save_episode(parallel_encoding=False)
     dataset.finalize()
-    save_calibration(root / CALIBRATIONS, "front", calibration())
+    save_calibration(root / CALIBRATIONS, "front", calibration(moved))
     return root

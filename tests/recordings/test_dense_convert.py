@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,9 @@ from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.dataset import Dataset, camera_of, open_dataset
+from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.opening import read_info
+from lerobot_adamanip.hardware.camera_frames import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import SafetyLimits, accepted, limits_from_json
@@ -71,9 +74,10 @@ def test_every_action_is_an_accepted_target(recording: Path, converted: Path) ->
     assert number == len(rows) == sum(map(len, ticks))
 
 
-def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
+def require_true_rows(converted: Path, cameras: Sequence[int]) -> None:
+    """Clouds and pictures are those of the ticks, seen from where each episode's camera was."""
     rows, number = rows_of(converted), 0
-    for episode, text in enumerate(Dataset(converted).table["recorded"].to_pylist()):
+    for episode, text in zip(cameras, Dataset(converted).table["recorded"].to_pylist(), strict=True):
         for tick in json.loads(text)["ticks"]:
             cloud = as_points(np.asarray(rows[number][schema.POINT_CLOUD]))
             wanted = calibration(episode).depth_pose[0, 3] + float(depth_at(tick).max()) / 1000.0
@@ -81,6 +85,20 @@ def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
             shade = float(rows[number][schema.FRONT_IMAGE].mean()) * 255.0
             assert abs(shade - tick % 250) < 4.0
             number += 1
+
+
+def test_clouds_and_pictures_are_those_of_the_ticks(converted: Path) -> None:
+    require_true_rows(converted, (0, 1))
+
+
+def test_recordings_before_and_after_a_camera_was_moved_merge(recording: Path, tmp_path: Path) -> None:
+    later = write_recording(tmp_path / "later", dense_episode(seed=3), moved=3)
+    merge([recording, later], tmp_path / "all")
+    convert([tmp_path / "all"], tmp_path / "converted", OPTIONS)
+    require_true_rows(tmp_path / "converted", (0, 1, 3))
+    save_calibration(later / CALIBRATIONS, "front", replace(calibration(), depth_in_color=np.eye(4)))
+    with pytest.raises(DatasetError, match="different camera calibrations"):
+        merge([recording, later], tmp_path / "refused")
 
 
 def test_the_description_is_that_of_simulated_demonstrations(recording: Path, finished: Path, tmp_path: Path) -> None:
