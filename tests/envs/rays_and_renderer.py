@@ -19,6 +19,8 @@ from lerobot_adamanip.experts import make_expert
 
 MOST_OFF = 0.001
 """Maximum share of pixels that differ by more than 1 mm."""
+MOST_UNEXPLAINED = 1e-5
+"""Maximum share of pixels that no ray beside explains: a renderer sees through a crack between two triangles."""
 BESIDE = (1 / 256, 1 / 64, 1 / 16, 1 / 8)
 """Distances of further rays from a pixel's centre [px]."""
 MOST_KEY_FRAMES = 30
@@ -48,7 +50,8 @@ class Counts:
     @property
     def passed(self) -> bool:
         """Returns whether both clouds are equal."""
-        return self.off_1mm <= MOST_OFF * self.pixels and self.off_2mm == self.explained
+        unexplained = self.off_2mm - self.explained
+        return self.off_1mm <= MOST_OFF * self.pixels and unexplained <= MOST_UNEXPLAINED * self.pixels
 
 
 def compare(task: Any) -> Counts:
