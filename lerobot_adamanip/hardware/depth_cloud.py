@@ -73,7 +73,7 @@ def points_in_base(
         camera_in_base = tcp_in_base @ calibration.depth_in_tcp
     start = (stride - 1) // 2
     chosen = np.asarray(depth[start::stride, start::stride], np.float32)
-    kept = np.flatnonzero(_on_a_surface(depth, stride))
+    kept = np.flatnonzero(on_a_surface(depth, stride))
     matrix, lens = (np.asarray(part, np.float64).tobytes() for part in (intrinsics.matrix, intrinsics.distortion))
     rays = _rays(matrix, lens, depth.shape, stride)
     points = rays.take(kept, axis=0) * (chosen.ravel().take(kept) * np.float32(1e-3))[:, None]
@@ -81,8 +81,8 @@ def points_in_base(
     return np.asarray(points @ rotation.T + position, np.float32)
 
 
-def _on_a_surface(depth: Depth, stride: int) -> NDArray[np.bool_]:
-    """Returns a mask (h, w) of every ``stride``-th pixel that is on a surface.
+def on_a_surface(depth: Depth, stride: int = 1) -> NDArray[np.bool_]:
+    """Returns a mask (h, w) of every ``stride``-th pixel of a depth image [mm] that is on a surface.
 
     It excludes pixels that differ from all neighbours, and flying pixels: nearer than one neighbour and farther than
     the opposite one by more than `JUMP`. Thin objects, nearer than both sides, stay.

@@ -115,6 +115,19 @@ def test_points_are_lost_and_noisy_as_with_such_a_camera(envs: Any, level: str, 
     assert 1e-3 < np.mean(errors) < 6e-3
 
 
+def test_a_cloud_drops_flying_points_as_the_arms_does(envs: Any) -> None:
+    env = envs["rough"]
+    env.reset(seed=41)
+    cameras = env.episode.task.cameras
+    surface = cKDTree(cameras.rays.points())
+    measured, kept = (cameras.rays.points(part) for part in (cameras.errors.depths, cameras.errors.cloud_depths))
+    flying = [int((surface.query(points)[0] > 0.03).sum()) for points in (measured, kept)]
+    assert flying[0] >= 5
+    assert flying[1] == 0
+    assert len(kept) > 0.95 * len(measured)
+    assert len(cameras.points()) == len(kept)
+
+
 def test_clouds_and_images_come_late_in_dense_control() -> None:
     late, now = (
         DenseEnv("safe", **SMALL, observe_cloud=True, cameras=("front",), sensing=f"exact,latency_ms={value}")

@@ -104,7 +104,7 @@ class Cameras:
     def points(self) -> Cloud:
         """Returns the present points (M, 3) [m], robot base frame, in scan order, covering at least the workspace."""
         if self.errors is not None:
-            points = self.errors.reported(self.rays.points(self.errors.depths), self.tcp_in_base)
+            points = self.errors.reported(self.rays.points(self.errors.cloud_depths), self.tcp_in_base)
         else:
             points = self.depth_scene.points() if self.options.cloud_source == "render" else self.rays.points()
         if self.calibration is not None:

@@ -17,6 +17,7 @@ from lerobot_adamanip.contract.pointcloud import Cloud, Workspace
 from lerobot_adamanip.contract.rotations import Array, rotation_about, transform
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
 from lerobot_adamanip.contract.sensing import BASELINE_M, FOCAL_PX, Sensing
+from lerobot_adamanip.hardware.depth_cloud import on_a_surface
 from lerobot_env_adamanip.sim.looks import Look
 
 if TYPE_CHECKING:
@@ -98,6 +99,18 @@ class SensorErrors:
         """Returns the depths (K,) [m] of a sensor's rays as measured; infinity where none is returned."""
         if not self.sensing.changes_depth:
             return depth
+        return self._measured(depth, sensor).reshape(-1).take(sensor.scene.pixels)
+
+    def cloud_depths(self, depth: Depth, sensor: RaycastSensor) -> Depth:
+        """Like `depths`, without the pixels that an arm's `depth_cloud` drops: those that fly between two surfaces."""
+        if not self.sensing.changes_depth:
+            return depth
+        measured = self._measured(depth, sensor)
+        kept = on_a_surface(np.where(np.isfinite(measured), 1e3 * measured, 0.0).astype(np.float32))
+        return np.where(kept, measured, np.inf).astype(np.float32).reshape(-1).take(sensor.scene.pixels)
+
+    def _measured(self, depth: Depth, sensor: RaycastSensor) -> Image:
+        """Returns the depth image (H, W) [m] as measured."""
         scene = sensor.scene
         absorbed = np.zeros(len(depth), np.float32)
         if self.sensing.dull > 0:
@@ -107,8 +120,7 @@ class SensorErrors:
         images = np.full((2, size * size), np.inf, np.float32)
         images[:, scene.pixels] = np.where(depth < scene.empty(), depth, np.inf), absorbed
         rng = self._generator(size)
-        measured = measured_depth(*images.reshape(2, size, size), focal=focal, sensing=self.sensing, rng=rng)
-        return measured.reshape(-1).take(scene.pixels)
+        return measured_depth(*images.reshape(2, size, size), focal=focal, sensing=self.sensing, rng=rng)
 
     def effort(self, effort: Array) -> Array:
         """Returns the joint torques (7,) [N m] as measured."""
