@@ -104,9 +104,9 @@ class DenseRecording:
 
     def calibration_of(self, number: int, calibration: CameraCalibration) -> CameraCalibration:
         """Returns the calibration with the camera's pose in an episode, if its rows hold one: the latest."""
-        columns = self.dataset.columns(self.dataset.episode(number))
         if self.camera != FRONT_CAMERA or not set(CAMERA_NAMES) <= set(self._names):
             return calibration
+        columns = self.dataset.columns(self.dataset.episode(number))
         pose = columns[ARM][-1, [self._names.index(name) for name in CAMERA_NAMES]]
         return calibration.at(pose_from_vector([*pose, 0.0])[0]) if pose.any() else calibration
 

@@ -15,7 +15,7 @@ from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.memory import SO_FAR
 
 pytestmark = [pytest.mark.sim, pytest.mark.nightly, pytest.mark.transformers, pytest.mark.usefixtures("no_vulkan")]
-DATA = "outputs/told"
+DATA = "outputs/text_memory"
 
 
 @pytest.fixture(scope="module")
@@ -48,14 +48,14 @@ def stand_in(policy: str, folder: Path) -> list[str]:
 def test_a_language_policy_is_trained_and_evaluated_with_a_memory_in_its_instruction(policy: str, folder: Path) -> None:
     training = [option for option in TRAINING if not option.startswith(("--env", "--eval"))]
     options = stand_in(policy, folder / f"{policy}_clip")
-    run(documented("lerobot-train", f"outputs/told_{policy}"), folder, *options, *training)
-    checkpoint = folder / "outputs" / f"told_{policy}" / "checkpoints" / "last" / "pretrained_model"
-    run(documented("lerobot-eval", f"outputs/told_{policy}"), folder, *SHORT)
-    (line,) = (folder / "outputs" / f"told_{policy}.jsonl").read_text().splitlines()
+    run(documented("lerobot-train", f"outputs/text_memory_{policy}"), folder, *options, *training)
+    checkpoint = folder / "outputs" / f"text_memory_{policy}" / "checkpoints" / "last" / "pretrained_model"
+    run(documented("lerobot-eval", f"outputs/text_memory_{policy}"), folder, *SHORT)
+    (line,) = (folder / "outputs" / f"text_memory_{policy}.jsonl").read_text().splitlines()
     assert json.loads(line)["category"] == "bottle"
 
     action = json.loads((checkpoint / "config.json").read_text())["output_features"][schema.ACTION]
-    dataset = LeRobotDataset("local/told", root=folder / DATA)
+    dataset = LeRobotDataset("local/text_memory", root=folder / DATA)
     assert action["shape"] == list(dataset.features[schema.ACTION]["shape"])
     processor = PolicyProcessorPipeline.from_pretrained(checkpoint, "policy_preprocessor.json")
     row = next(row for row in map(dataset.__getitem__, range(len(dataset))) if SO_FAR in row["task"])

@@ -123,9 +123,9 @@ def dense_episode(
 
 def arm_rows(episode: DenseEpisode) -> NDArray[np.float32]:
     """Values of the column `ARM`."""
-    told = np.stack([episode.outcome, episode.stamp], axis=1)
-    seen_from = np.zeros((len(told), len(CAMERA_NAMES)))
-    return np.concatenate([episode.state, episode.effort, episode.sent, told, seen_from], axis=1).astype(np.float32)
+    ends = np.stack([episode.outcome, episode.stamp], axis=1)
+    camera = np.zeros((len(episode), len(CAMERA_NAMES)))
+    return np.concatenate([episode.state, episode.effort, episode.sent, ends, camera], axis=1).astype(np.float32)
 
 
 def depth_at(tick: int) -> NDArray[np.uint16]:

@@ -84,7 +84,7 @@ def rows(root: Path) -> Any:
 def test_the_scripted_device_opens_a_free_and_a_locked_door(recorded: Path) -> None:
     log = read_log(recorded.with_name("recorded.episodes.jsonl"))
     assert [each.episode for each in log] == [0, 1]
-    assert [each.given_seed for each in log] == [SEED, SEED + 1]  # a session that goes on counts on
+    assert [each.given_seed for each in log] == [SEED, SEED + 1]  # a resumed session continues the seeds
     assert [each.locked for each in log] == [False, True]
     assert [each.success for each in log] == [True, True]
     assert all(each.key_frames > 0 for each in log)

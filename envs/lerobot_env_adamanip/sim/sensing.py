@@ -107,7 +107,7 @@ class SensorErrors:
             return depth
         measured = self._measured(depth, sensor)
         kept = on_a_surface(np.where(np.isfinite(measured), 1e3 * measured, 0.0).astype(np.float32))
-        return np.where(kept, measured, np.inf).astype(np.float32).reshape(-1).take(sensor.scene.pixels)
+        return np.where(kept, measured, np.float32(np.inf)).reshape(-1).take(sensor.scene.pixels)
 
     def _measured(self, depth: Depth, sensor: RaycastSensor) -> Image:
         """Returns the depth image (H, W) [m] as measured."""
