@@ -132,7 +132,8 @@ class RunningEpisode:
         self.clipped_goals += driver.feedback.is_clipped
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
         tries, allowed = simulation.tries, self._max_failed_tries
-        failed = tries.ended_failed_tries if self._is_dense else tries.failed_tries
+        # A try in a key frame that was not blocked may still move its joint in the next one.
+        failed = tries.failed_tries if not self._is_dense and driver.feedback.failed else tries.ended_failed_tries
         limit = TIME_LIMIT if self.steps >= self._step_limit else ""
         limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES

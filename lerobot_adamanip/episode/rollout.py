@@ -245,6 +245,7 @@ class EpisodeRecorder:
 
     joints: Callable[[], NDArray[np.float32]]
     rows: list[dict[str, NDArray[Any]]] = field(default_factory=list)
+    _labels: list[KeyFrameLabels] = field(default_factory=list)
     _last: KeyFrame | None = None
     _before: NDArray[np.float32] = field(init=False)
 
@@ -258,13 +259,17 @@ class EpisodeRecorder:
             raise ValueError("Feedback of a finished key frame carries an outcome; this one is from before the first.")
         labels = key_frame.labels
         self._last = key_frame
+        self._labels.append(labels)
         row = self._row(key_frame.observation, key_frame.goal, outcome, labels, success=key_frame.success, done=False)
         executed = row[schema.ACTION] if key_frame.executed is None else key_frame.executed
         self.rows.append({**row, schema.EXECUTED: executed, schema.JOINTS: self._before})
         self._before = self.joints()
 
     def columns(self) -> dict[str, NDArray[Any]]:
-        """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal."""
+        """Returns the episode as one (T + 1, ...) array per dataset column; the last row is terminal.
+
+        A try whose joint moves in a later key frame did not fail in an earlier one.
+        """
         if self._last is None:
             return {}
         last = self._last
@@ -272,7 +277,11 @@ class EpisodeRecorder:
         labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
         end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
         end |= {schema.EXECUTED: end[schema.ACTION], schema.JOINTS: self._before}
-        return {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
+        columns = {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}
+        moved = {each.number for each in self._labels if each.number >= 0 and not each.failed}
+        columns[schema.FAILED][:-1, 0] &= [each.number not in moved for each in self._labels]
+        columns[schema.TRIAL] = np.minimum.accumulate(columns[schema.TRIAL][::-1])[::-1]
+        return columns
 
     def _row(
         self, observation: Any, goal: Goal, outcome: Outcome, labels: KeyFrameLabels, *, success: bool, done: bool

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,10 +9,10 @@ from demos_fake_env import FakeEnv
 from demos_helpers import fakes, make_spec
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import Feedback, Goal, Outcome, Phase
+from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrameLabels, Outcome, Phase
 from lerobot_adamanip.contract.observation import observation_columns
 from lerobot_adamanip.contract.rotations import transform
-from lerobot_adamanip.episode.rollout import EpisodeRecorder, rollout
+from lerobot_adamanip.episode.rollout import EpisodeRecorder, KeyFrame, rollout
 from lerobot_adamanip.util.errors import UnreachableError
 
 PULL = Goal(transform((0.6, 0.0, 0.2)), 0.0, Phase.TRY)
@@ -60,6 +61,23 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
     # The state after an action is the next row's: the pull stalled where it began, the unlocking arrived.
     assert columns[schema.STATE][1, 0] == columns[schema.STATE][0, 0]
     np.testing.assert_allclose(columns[schema.STATE][2, :3], UNLOCK.action()[:3])
+
+
+def test_a_try_that_moves_its_joint_in_a_later_key_frame_has_not_failed() -> None:
+    """It goes on over the first two key frames; the try of the third fails."""
+    env, first = ready(locked=False)
+    recorder, steps = EpisodeRecorder(env.joints), list[KeyFrame]()
+    rollout(env, first, play(PULL, FARTHER, PULL), steps.append, past_success=True)
+    labels = [
+        KeyFrameLabels(0, True, number=0),
+        KeyFrameLabels(0, trial=1, number=0),
+        KeyFrameLabels(1, True, number=1),
+    ]
+    for step, label in zip(steps, labels, strict=True):
+        recorder.record(replace(step, labels=label))
+    columns = recorder.columns()
+    assert columns[schema.FAILED][:, 0].tolist() == [False, False, True, False]
+    assert columns[schema.TRIAL][:, 0].tolist() == [0, 0, 0, 1]
 
 
 def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from envs_helpers import SMALL
 
-from lerobot_adamanip.contract.rotations import pose_vector
+from lerobot_adamanip.contract.keyframes import Phase
+from lerobot_adamanip.contract.rotations import pose_vector, straight_path
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES
 from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.metrics import within_best_tries
 from lerobot_adamanip.evaluation.record import EpisodeRecord
-from lerobot_adamanip.experts import KeyFrames
+from lerobot_adamanip.experts import KeyFrames, make_expert
 from lerobot_adamanip.experts.lamp import MOTIONS, _attempt
 from lerobot_adamanip.experts.primitives import Hand
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
@@ -75,6 +76,29 @@ def test_it_is_what_counting_says_of_the_whole_episode(lamp: Any) -> None:
             assert limited == (whole.failed_tries <= most)
             assert record.try_sequence == whole.try_sequence[: len(record.try_sequence)]
         assert outcome(lamp(BEST), hidden, modes)[0] == within_best_tries(whole)
+
+
+def test_a_try_that_goes_on_is_not_counted() -> None:
+    """An unlocked safe that is pulled in small key frames: the first one moves the door by less than a motion."""
+    made = KeyframeEnv(
+        "safe", **{**SMALL, "objects": "0:1", "observe_images": False, "max_failed_tries": 0, "split": "validation"}
+    )
+    made.reset(seed=3, options={"hidden_overrides": {"locked": False}})
+    expert = make_expert("safe", "adaptive", made.annotations, generator=np.random.default_rng(0))
+    goal = next(expert)
+    while goal.phase is not Phase.TRY:
+        made.step(goal.action())
+        goal = expert.send(made.feedback)
+    path = straight_path(made.feedback.tcp_in_base, goal.tcp_in_base, np.arange(1, 13) / 12)
+    unfinished = 0
+    for pose in path:
+        _, _, terminated, truncated, info = made.step(pose_vector(pose, 0.0))
+        unfinished += made.labels.failed
+        assert not truncated, info["limit"]
+        if terminated:
+            break
+    assert unfinished, "no key frame has moved the door by less than a motion"
+    made.close()
 
 
 def test_what_is_done_after_the_limit_changes_nothing(lamp: Any) -> None:
