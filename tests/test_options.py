@@ -5,8 +5,10 @@ from __future__ import annotations
 import copy
 import json
 import pickle
+from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from lerobot_adamanip.contract.pointcloud import Workspace
@@ -48,6 +50,13 @@ def test_a_change_makes_a_checked_copy() -> None:
         GIVEN.changed(num_points=0)
 
 
+def test_equal_values_of_other_types_become_the_annotated_ones() -> None:
+    options = GIVEN.changed(num_points=np.int64(32), hints=1, cameras=["front"], logged_seeds=[5, np.int32(6)])
+    assert (options.num_points, options.hints, options.cameras, options.logged_seeds) == (32, 1.0, ("front",), (5, 6))
+    assert json.loads(json.dumps(options.to_json()))["num_points"] == 32
+    assert options.changed(assets=None, episode_log=Path("log.jsonl")).episode_log == "log.jsonl"
+
+
 def test_json_holds_every_option() -> None:
     told = json.loads(json.dumps(GIVEN.to_json()))
     assert set(told) == set(EnvironmentOptions.__dataclass_fields__)
@@ -76,6 +85,28 @@ def test_json_holds_every_option() -> None:
         ({"sensing": "d453"}, "--env.sensing=d435"),
         ({"sensing": "d435", "cloud_source": "render"}, "cloud_source raycast"),
         ({"workspace": Workspace((0.5, 0.0, 0.0), (0.5, 1.0, 1.0))}, "workspace"),
+        # Without effect.
+        ({"action": "joint"}, "--env.control=dense"),
+        ({"fps": 25}, "--env.control=dense"),
+        ({"control": "dense", "max_key_frames": 9}, "max_steps=300"),
+        ({"control": "dense", "self_calibration": True}, "--env.observe_cloud=true"),
+        # Of another type than annotated: Python checks none, and text is true, or a list of letters.
+        ({"observe_images": "false"}, "bool | None"),
+        ({"self_calibration": "false"}, "self_calibration=False"),
+        ({"observe_cloud": 1, "control": "dense"}, "1 (int)"),
+        ({"category": ["safe"]}, "category='safe'"),
+        ({"split": None}, "None (NoneType)"),
+        ({"num_points": "64"}, "'64' (str)"),
+        ({"num_points": 64.0}, "64.0 (float)"),
+        ({"repeats": True}, "True (bool)"),
+        ({"hints": "0.5"}, "'0.5' (str)"),
+        ({"cameras": "front"}, "'front' (str)"),
+        ({"hidden_overrides": "locked"}, "Mapping[str, Any]"),
+        ({"logged_seeds": (5,)}, "tuple[int, int] | None"),
+        ({"logged_seeds": (5, 6, 2)}, "tuple[int, int] | None"),
+        ({"workspace": {"lower": (0.0, 0.0)}}, "tuple[float, float, float]"),
+        ({"workspace": ((0.0, 0.0, 0.0), (1.0, 1.0, 1.0))}, "Workspace"),
+        ({"sensing": "d435," + ",".join(["lost=0.1"] * 50)}, "at most 400 characters"),
     ],
 )
 def test_what_cannot_work_is_one_clear_error(wrong: dict[str, Any], said: str) -> None:

@@ -43,6 +43,7 @@ def test_each_level_is_worse_than_the_one_before() -> None:
         assert values == sorted(values), part.name
         assert values[0] == 0
     assert [level.steps_late(10) for level in LEVELS.values()] == [0, 1, 2]
+    assert [Sensing(latency_ms=each).steps_late(10) for each in (40, 50, 150, 250)] == [0, 1, 2, 3]
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,7 @@ from lerobot_adamanip.contract.schema import (
     ACTION_DIM,
     DEFAULT_NUM_POINTS,
     EFFORT,
-    FPS,
     IMAGE_SIZE,
-    MAX_KEY_FRAMES,
     NUM_JOINTS,
     POINT_CLOUD,
     STATE,
@@ -56,7 +54,7 @@ class AdaManipEnvConfig(EnvConfig):
     disable_env_checker: bool = True
     # Control: keyframe (a step is one key frame), or dense (a step is 1/fps seconds), for any policy of LeRobot.
     control: str = KEYFRAME
-    # Steps per second of dense control: 5, 10 (default) or 25. Without effect on key frames.
+    # Steps per second of dense control: 5, 10 (default) or 25.
     fps: int | None = None
     # Dense action: ee_delta (7 numbers in -1 ... 1, a motion from the measured tool pose), ee_pose (10), or joint (8).
     action: str = EE_DELTA
@@ -144,8 +142,6 @@ class AdaManipEnvConfig(EnvConfig):
             chosen = self._shared_options
             names = camera_names(chosen.observed_cameras, self.camera_names)
         self.task = self.task or self.category
-        self.fps = chosen.fps if chosen.is_dense else FPS
-        self.episode_length, size = chosen.step_limit, self.image_size
         dims = {"action": ACTION_DIM, "state": STATE_DIM}
         if chosen.is_dense:
             dims = {"action": len(ACTION_NAMES[chosen.action]), "state": len(STATES[chosen.state])}
@@ -161,7 +157,8 @@ class AdaManipEnvConfig(EnvConfig):
             table["environment_state"] = (FeatureType.ENV, (len(MEMORY_NAMES),), MEMORY)
         for name in names.values() if self.observe_images is not False else ():
             # LeRobot's recordings take these keys for columns, whose names have no "/".
-            table[image_column(name)] = (FeatureType.VISUAL, (size, size, 3), image_column(name))
+            shape = (self.image_size, self.image_size, 3)
+            table[image_column(name)] = (FeatureType.VISUAL, shape, image_column(name))
         self.features = {key: PolicyFeature(kind, shape) for key, (kind, shape, _) in table.items()}
         self.features_map = {key: name for key, (_, _, name) in table.items()}
 
@@ -185,12 +182,11 @@ class AdaManipEnvConfig(EnvConfig):
         shared = [item.name for item in fields(EnvironmentOptions) if item.name != "category"]
         values = {name: getattr(self, name) for name in shared if hasattr(self, name)}
         workspace = Workspace(self.workspace_lower, self.workspace_upper)
-        values |= {"category": category, "workspace": workspace, "fps": self.fps or 10}
-        length = self.episode_length
-        if self.control == DENSE:
-            values["max_steps"] = length
-        else:
-            values |= {"max_key_frames": MAX_KEY_FRAMES if length is None else length, "fps": 10}
+        values |= {"category": category, "workspace": workspace}
+        if self.fps is None:
+            del values["fps"]
+        if self.episode_length is not None:
+            values["max_steps" if self.control == DENSE else "max_key_frames"] = self.episode_length
         return EnvironmentOptions(**{**values, **others})
 
     @property

@@ -84,6 +84,7 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         self._recorder: EpisodeRecorder | None = None
         self._observation: Observation = {}
         self._overrides: dict[str, Any] | None = None
+        self._is_open = True
         try:
             self._output.require_free()
             self._begin()
@@ -99,13 +100,19 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
 
     @property
     def episodes(self) -> int:
-        """Number of recorded episodes, including those of earlier runs."""
-        return len(self._shards())
+        """Number of recorded episodes, including those of earlier runs, and any whose damaged file was deleted."""
+        shards = self._shards()
+        return int(shards[-1].stem) + 1 if shards else 0
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Writes the episode before, if it was cut short, and starts the next one."""
+        """Writes the episode before, if it was cut short, and starts the next one.
+
+        Raises:
+            DatasetError: the recorder is closed.
+        """
+        self._require_open()
         self._write()
         observation, info = self.env.reset(seed=seed, options=options)
         self._observation, self._overrides = observation, (options or {}).get("hidden_overrides")
@@ -133,20 +140,32 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         """Makes the dataset of all recorded episodes and returns its folder. The recorder is then closed for recording.
 
         Raises:
-            DatasetError: no episode was recorded, or the dataset cannot be written.
+            DatasetError: no episode was recorded, the dataset cannot be written, or the recorder is closed.
         """
+        self._require_open()
         self._write()
         contents = Contents(self._shards(), self._env.options, self._repo_id)
         built = assemble(self._output.fresh("dataset"), self._output.root.name, contents)
         self._output.publish(built)
+        self._is_open = False
         self._stack.close()
         return self._output.root
 
     def close(self) -> None:
-        """Writes an episode that was cut short, and closes the environment. `save` can make the dataset later."""
+        """Writes an episode that was cut short, and closes the environment. A new recorder continues in the folder."""
         self._write()
+        self._is_open = False
         self._stack.close()
         super().close()
+
+    def _require_open(self) -> None:
+        if not self._is_open:
+            raise DatasetError(
+                "This recorder is closed.",
+                got=f"a recorder of {self._output.root} after save() or close()",
+                allowed="reset and save before that",
+                hint="a new DatasetRecorder; after save() in another folder",
+            )
 
     def _begin(self) -> None:
         """Creates the folder of episodes, or checks that its episodes have the same options and versions."""

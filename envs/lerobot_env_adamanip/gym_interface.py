@@ -76,10 +76,18 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
 
 
 def reset_options(environment: EnvironmentOptions, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a reset's options for the simulator; raises `ConfigurationError` for a wrong name or object."""
+    """Returns a reset's options for the simulator; raises `ConfigurationError` for a wrong name, object or type."""
     for name in options:
         require_choice("option of a reset", name, RESET_OPTIONS)
     chosen = {name: value for name, value in options.items() if name != NEW_ROLLOUT}
+    overrides = chosen.get("hidden_overrides")
+    if overrides is not None and not isinstance(overrides, Mapping):
+        raise ConfigurationError(
+            "Wrong hidden values of a reset.",
+            got=repr(overrides),
+            allowed="a mapping from name to value",
+            hint="options={'hidden_overrides': {'locked': True}}",
+        )
     object_id = chosen.get("object_id")
     if object_id is None:
         return chosen

@@ -74,7 +74,10 @@ def assemble(
     """
     if not contents.shards:
         raise DatasetError(
-            "No episode was recorded.", got="0 episodes", allowed="1 or more", hint="a larger --max-attempts"
+            "No episode was recorded.",
+            got="0 episodes",
+            allowed="1 or more",
+            hint="a larger --max-attempts; DatasetRecorder: reset and step it before save",
         )
     files.crash_point("assembly begun")
     environment, box = contents.environment, contents.environment.workspace

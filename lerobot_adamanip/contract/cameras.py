@@ -71,7 +71,7 @@ def camera_names(cameras: Sequence[str], names: Sequence[str] | None) -> dict[st
     Raises:
         ConfigurationError: not one name per camera, a name twice, or another character than letters, digits and _.
     """
-    names = cameras if names is None else names
+    names = cameras if names is None else [names] if isinstance(names, str) else names
     if len({*names}) != len(names) or len(names) != len(cameras) or not all(map(_CAMERA_NAME.fullmatch, names)):
         raise ConfigurationError(
             "Wrong names of cameras.",

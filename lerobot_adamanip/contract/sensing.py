@@ -26,7 +26,8 @@ from lerobot_adamanip.util.errors import ConfigurationError, nearest
 
 EXACT = "exact"
 """Level without errors, the default."""
-SENSING_TEXT = r"[a-z0-9_=.,-]{1,400}"
+MAX_SENSING_TEXT = 400
+SENSING_TEXT = rf"[a-z0-9_=.,-]{{1,{MAX_SENSING_TEXT}}}"
 """Form of a level with its parts, in files."""
 BASELINE_M, FOCAL_PX = 0.050, 424.0
 """Distance of the D435's imagers [m], and their focal length at 848 px [2]."""
@@ -74,7 +75,7 @@ class Sensing:
 
     def steps_late(self, fps: int) -> int:
         """Returns the age of clouds and images in steps of dense control at ``fps`` Hz."""
-        return round(1e-3 * self.latency_ms * fps)
+        return math.floor(1e-3 * self.latency_ms * fps + 0.5)
 
 
 _OF_DEPTH = ("disparity_noise_px", "disparity_step_px", "grazing_deg", "edge_holes", "flying", "lost", "dull")
@@ -128,6 +129,8 @@ def parse_sensing(text: str) -> Sensing:
     Raises:
         ConfigurationError: the level or a part does not exist, or a value is no number in its range.
     """
+    if len(text) > MAX_SENSING_TEXT:
+        raise _error(text[:80], f"at most {MAX_SENSING_TEXT} characters", None)
     level, *parts = (word.strip() for word in text.split(","))
     if level not in LEVELS:
         raise _error(text, f"a level first: {', '.join(LEVELS)}", nearest(level, LEVELS))

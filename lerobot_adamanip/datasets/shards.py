@@ -79,7 +79,7 @@ def read_shard(path: Path) -> RecordedEpisode:
             "Cannot read a recorded episode.",
             got=f"{path}: {error}",
             allowed="an intact episode file",
-            hint="delete this file and run the same `adamanip collect` command again",
+            hint="delete this file and run the same command or program again",
         ) from error
     return RecordedEpisode(columns, record)
 

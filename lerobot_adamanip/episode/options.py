@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
@@ -15,6 +16,7 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, c
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS, BalancedDraws
 from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
+from lerobot_adamanip.util.annotations import check_types
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
 POSES = ("randomized", "fixed")
@@ -40,6 +42,8 @@ MAX_FAILED_TRIES = 1000
 """Largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
 """Share of collected episodes that start from a perturbed mid-task state."""
+_NO_EFFECT = {KEYFRAME: ("fps", "action", "state", "max_steps"), DENSE: ("max_key_frames",)}
+"""Control -> options that it does not read."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
 """Option -> its key in files (manifests, episode logs), if the two differ."""
 
@@ -126,12 +130,14 @@ class EnvironmentOptions:
 
     def __post_init__(self) -> None:
         """Validates all values before a simulator starts."""
-        object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides or {})))
         if isinstance(self.workspace, Mapping):  # as `to_json` returns it
             object.__setattr__(self, "workspace", _workspace(self.workspace))
         for name in ("assets", "episode_log"):
-            value = getattr(self, name)
-            object.__setattr__(self, name, None if value is None else str(value))
+            if isinstance(value := getattr(self, name), Path):
+                object.__setattr__(self, name, str(value))
+        check_types(self)
+        check_types(self.workspace)
+        object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides)))
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.
         from lerobot_adamanip.catalog import get_object, select_objects
@@ -153,6 +159,7 @@ class EnvironmentOptions:
         require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
         require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
         require_choice("kind of state", self.state, STATES, hint="--env.state=pose")
+        self._check_effect()
         check_memory(self.memory, control=self.control, action=self.action)
         if self.fps not in RATES:
             raise ConfigurationError("Wrong rate of control.", got=self.fps, allowed=str(RATES), hint="--env.fps=10")
@@ -179,6 +186,25 @@ class EnvironmentOptions:
                 got=f"logged_seeds={tuple(self.logged_seeds)}",
                 allowed="a first seed and an end above it",
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
+            )
+
+    def _check_effect(self) -> None:
+        """Refuses options that change nothing with this control."""
+        defaults = {item.name: item.default for item in fields(self)}
+        for name in _NO_EFFECT[self.control]:
+            if getattr(self, name) != defaults[name]:
+                raise ConfigurationError(
+                    f"{name} has no effect with control={self.control}.",
+                    got=f"{name}={getattr(self, name)!r}",
+                    allowed=f"{name}={defaults[name]!r}, or the other control",
+                    hint="--env.control=dense" if self.control == KEYFRAME else "max_steps=300",
+                )
+        if self.self_calibration and not self.observes_cloud:
+            raise ConfigurationError(
+                "Self-calibration corrects clouds, but none is observed.",
+                got="self_calibration=True with control=dense and observe_cloud=False",
+                allowed="self-calibration with observe_cloud=True",
+                hint="--env.observe_cloud=true",
             )
 
     @property
@@ -260,7 +286,7 @@ def check_late_starts(share: float) -> None:
 def _workspace(corners: Mapping[str, Any]) -> Workspace:
     for name in corners:
         require_choice("corner of a workspace", name, ("lower", "upper"))
-    return Workspace(**{name: tuple(corner) for name, corner in corners.items()})
+    return Workspace(**corners)
 
 
 def _check_sensing(sensing: str, cloud_source: str) -> None:

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from typing import Any
 
 import draccus
@@ -48,7 +49,7 @@ def test_command_line_reaches_the_environment() -> None:
         "--env.observe_images=true",
     )
     assert isinstance(config, AdaManipSafeEnvConfig)
-    assert (config.type, config.task, config.fps) == ("adamanip_safe", "safe", schema.FPS)
+    assert (config.type, config.task, config.fps) == ("adamanip_safe", "safe", None)
     assert config.features["point_cloud"].shape == (1536,)
     env = KeyframeEnv(**config.gym_kwargs)
     assert env.observation_space["point_cloud"].shape == (512, 3)
@@ -141,7 +142,16 @@ def test_a_checkpoint_names_the_cameras(control: str) -> None:
     assert {key for key in config.features if "images" in key} == names <= set(config.features_map.values())
 
 
-@pytest.mark.parametrize("names", [["camera1"], ["a", "a"], ["a", "b/c"], ["a", ""], ["a", "b", "c"]])
+def test_a_stored_configuration_can_be_changed() -> None:
+    """What was not chosen follows from what is: the rate, and the steps of 30 seconds."""
+    stored = draccus.decode(EnvConfig, json.loads(json.dumps(draccus.encode(AdaManipSafeEnvConfig(), EnvConfig))))
+    dense = dataclasses.replace(stored, control="dense")
+    assert (dense.options.fps, dense.options.step_limit) == (10, 300)
+    assert dataclasses.replace(dense, fps=25).options.step_limit == 750
+    assert dataclasses.replace(dense, control="keyframe").options == AdaManipSafeEnvConfig().options
+
+
+@pytest.mark.parametrize("names", ["ab", ["camera1"], ["a", "a"], ["a", "b/c"], ["a", ""], ["a", "b", "c"]])
 def test_wrong_names_of_cameras_are_refused(names: list[str]) -> None:
     with pytest.raises(AdaManipError, match=r"(?s)names of cameras.*got:.*try: +--env.cameras="):
         AdaManipSafeEnvConfig(cameras=["front", "wrist"], camera_names=names)
@@ -159,6 +169,8 @@ def test_nothing_hidden_is_a_feature() -> None:
         ({"workspace_upper": (0.1, 0.1, 0.1)}, "workspace"),
         ({"episode_length": 0}, "key frames"),
         ({"logged_seeds": (5, 5)}, "logged_seeds=(5, 5)"),
+        ({"fps": 0, "control": "dense"}, "rate"),
+        ({"workspace_lower": (0.1, 0.1)}, "tuple[float, float, float]"),
     ],
 )
 def test_bad_options_are_refused_before_a_simulator_starts(wrong: dict[str, Any], said: str) -> None:

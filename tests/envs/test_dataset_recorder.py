@@ -73,6 +73,21 @@ def test_a_killed_program_goes_on_and_loses_no_ended_episode(envs: Envs, tmp_pat
     assert [description.seed for description in Dataset(root).descriptions()] == [5, 6]
 
 
+def test_a_deleted_episode_makes_no_other_one_vanish(envs: Envs, tmp_path: Path) -> None:
+    env, root = envs("lamp"), tmp_path / "mine"
+    recorder = DatasetRecorder(env, root, recorded_by="me")
+    for seed in range(4):
+        short_episode(recorder, env, seed)
+    # As the error for a damaged file advises. The fourth episode is not yet written.
+    (tmp_path / "mine.recording" / "episodes" / "000001.safetensors").unlink()
+    assert recorder.episodes == 3
+    recorder.save()
+    assert [description.seed for description in Dataset(root).descriptions()] == [0, 2, 3]
+    for use in (recorder.save, recorder.reset):
+        with pytest.raises(DatasetError, match="recorder is closed"):
+            use()
+
+
 def test_what_cannot_be_recorded_is_refused(envs: Envs, tmp_path: Path) -> None:
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "file").touch()
