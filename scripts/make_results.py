@@ -2,7 +2,7 @@
 
 The documents are docs/results.md, docs/results.csv, docs/leaderboard.md, and a block in the README. The sources are
 results/*.json and, from `adamanip benchmark`, results/benchmark/SCALE/*.json. README and docs/results.md say if they
-were measured with another simulation version than the present one. results/archive has results of earlier code.
+were measured with another simulation version than the present one.
 """
 
 from __future__ import annotations

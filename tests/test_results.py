@@ -22,7 +22,6 @@ from lerobot_adamanip.evaluation.results import (
     ResultRow,
     make_result,
     read_result,
-    read_results,
     rows_of_records,
     write_result,
 )
@@ -56,13 +55,6 @@ def result(**changes: Any) -> ResultFile:
 def test_documents_are_what_the_script_writes() -> None:
     for path, text in make_results.documents(make_results.RESULTS).items():
         assert path.read_text(encoding="utf-8") == text, f"{path.name}: run python scripts/make_results.py"
-
-
-def test_archived_results_can_be_read() -> None:
-    """Results of earlier code are on no page, and lose no number."""
-    archived = [path for path in (ROOT / "results" / "archive").glob("*/") for path in read_results(path).values()]
-    assert {one.run.scale for one in archived if one.run} == {"cpu", "overfit"}
-    assert all(one.simulation_version < SIMULATION_VERSION for one in archived)
 
 
 def test_documents_say_which_versions_were_mixed_or_are_not_the_present_ones(tmp_path: Path) -> None:

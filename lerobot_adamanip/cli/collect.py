@@ -252,28 +252,18 @@ class CollectCommand:
 
         self._require_effects()
         categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
+        same = (
+            "objects", "num_points", "cloud_source", "poses", "mechanism_rules", "sensing", "self_calibration",
+            "max_failed_tries", "hints", "control", "fps", "action", "state", "memory", "image_source",
+        )  # fmt: skip
         environment = EnvironmentOptions(
             category=categories[0],
-            objects=self.objects,
             assets=None if self.assets is None else str(self.assets.resolve()),
-            num_points=self.num_points,
             image_size=schema.IMAGE_SIZE if self.image_size is None else self.image_size,
-            cloud_source=self.cloud_source,
-            poses=self.poses,
-            mechanism_rules=self.mechanism_rules,
-            sensing=self.sensing,
-            self_calibration=self.self_calibration,
-            max_failed_tries=self.max_failed_tries,
-            hints=self.hints,
-            control=self.control,
-            fps=self.fps,
-            action=self.action,
-            state=self.state,
             observe_cloud=self.cloud,
             observe_effort=self.effort,
-            memory=self.memory,
             cameras=self.cameras or None,
-            image_source=self.image_source,
+            **{name: getattr(self, name) for name in same},
         )
         objects = objects_to_collect(categories, self.objects, self.assets, self.poses)
         check_late_starts(self.late_starts)
@@ -284,19 +274,16 @@ class CollectCommand:
             from lerobot_adamanip.collection.trained_policy import policy_hash  # imports torch
 
             policy = policy_hash(self.policy)
+        unchanged = (
+            "expert", "expert_strategy", "episodes_per_object", "trials", "late_starts", "keep_failed", "mistakes",
+            "seed",
+        )  # fmt: skip
         return CollectionSpec(
             environment=environment,
             objects=objects,
-            expert=self.expert,
-            expert_strategy=self.expert_strategy,
-            episodes_per_object=self.episodes_per_object,
-            trials=self.trials,
-            late_starts=self.late_starts,
-            keep_failed=self.keep_failed,
             policy=policy,
-            mistakes=self.mistakes,
             expert_share=1.0 if self.policy is None else self.expert_share,
-            seed=self.seed,
+            **{name: getattr(self, name) for name in unchanged},
         )
 
     def options(self) -> CollectOptions:
