@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import make_results
@@ -11,14 +12,14 @@ import pytest
 from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
-from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
+from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCUMENTS = {
     name: (ROOT / name).read_text(encoding="utf-8")
-    for name in ("README.md", "docs/memory.md", "docs/lerobot_policies.md", "docs/twin.md")
+    for name in ("README.md", "docs/memory.md", "docs/sensing.md", "docs/lerobot_policies.md", "docs/twin.md")
 }
 REPORTS: dict[str, BenchmarkReport] = {each.scale: each for each in make_results.benchmark_reports(ROOT / "results")}
 
@@ -40,12 +41,23 @@ def something_new(method: str, failures: int) -> str:
     return f"{rate.count:,} of {rate.episodes:,}"
 
 
-def gain(min_outcome: str, objects: str = "seen") -> str:
-    """Returns what the memory adds in the main table, same weights: points [interval]."""
+def gap(min_outcome: str, objects: str = "seen", categories: Sequence[str] = ()) -> PairedDifference:
+    """Returns what the memory adds in the main table, same weights."""
     report = REPORTS["test"]
-    gap = report.paired(("dp3_adaptive", "without_memory"), report.categories, objects, min_outcome)
-    assert gap is not None
-    return "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * value for value in (gap.difference, gap.low, gap.high)))
+    found = report.paired(("dp3_adaptive", "without_memory"), categories or report.categories, objects, min_outcome)
+    assert found is not None
+    return found
+
+
+def gain(min_outcome: str, objects: str = "seen", categories: Sequence[str] = ()) -> str:
+    """Returns the same in points, with its interval."""
+    difference = gap(min_outcome, objects, categories)
+    values = difference.difference, difference.low, difference.high
+    return "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * value for value in values))
+
+
+def listed(words: Sequence[str]) -> str:
+    return f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 @pytest.mark.parametrize("category", CATEGORIES)
@@ -64,11 +76,13 @@ def test_other_counts_are_those_of_a_cell() -> None:
 def test_the_memorys_gain_is_that_of_the_paired_scenes() -> None:
     within = gain(WITHIN_TRIES)
     assert f"{within.replace('+', '').replace(' ', ' points more within the tries ', 1)}" in DOCUMENTS["README.md"]
-    gaps = REPORTS["test"].paired(("dp3_adaptive", "without_memory"), tuple(CATEGORIES), "seen", WITHIN_TRIES)
-    assert gaps
-    both = " and ".join(f"{100 * gap:.0f}" for gap in gaps.by_training.values())
-    assert f"({both} in two trainings)" in DOCUMENTS["README.md"]
-    assert f"By training it is {both} points" in DOCUMENTS["docs/memory.md"]
+    each = listed([f"{100 * points:.0f}" for points in gap(WITHIN_TRIES).by_training.values()])
+    assert f"({each} in three trainings)" in DOCUMENTS["README.md"]
+    assert f"By training it is {each} points" in DOCUMENTS["docs/memory.md"]
+    gaps = sorted((gap(WITHIN_TRIES, categories=[name]).difference, name) for name in CATEGORIES)
+    (_, least), (_, most) = gaps[0], gaps[-1]
+    ends = [gain(WITHIN_TRIES, categories=[name]) for name in (least, most)]
+    assert f"from {ends[0]} at {least}s to {ends[1]} at {most}s" in DOCUMENTS["README.md"].replace("_", " ")
     text = f"is {within.replace(' ', ' points ', 1)} over the nine, in success {gain(OPENED)}"
     assert text in DOCUMENTS["docs/memory.md"]
     others = "; ".join(
@@ -96,7 +110,7 @@ def test_repeats_and_what_follows_a_failure_are_counted() -> None:
 def test_the_categories_that_fall_short_are_named() -> None:
     names = {name: metrics("dp3_adaptive", name).within_best_tries for name in CATEGORIES}
     low = [f"{name}s ({100 * rate.rate:.0f})" for name, rate in names.items() if rate and rate.rate and rate.rate < 0.9]
-    assert f"below 90 % within the tries are {', '.join(low[:-1])} and {low[-1]}." in DOCUMENTS["README.md"]
+    assert f"below 90 % within the tries are {listed(low)}." in DOCUMENTS["README.md"]
 
 
 def test_the_novel_objects_that_open_least_are_named() -> None:
@@ -107,6 +121,25 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
     rates = [(name, opened, novel[name].within_best_tries) for opened, name in least]
     both = ", ".join(f"{name}s {opened} and {within.count}" for name, opened, within in rates if within)
     assert f"opened and within the tries: {both}." in DOCUMENTS["docs/memory.md"]
+
+
+def test_d435_is_compared_with_exact_clouds_of_the_same_training() -> None:
+    cells = ROOT / "results" / "benchmark" / "test"
+    rows = {
+        (method, category): read_result(cells / f"{method}-{category}-seen-1001.json").rows[0].metrics
+        for method in ("d435_calibrated", "dp3_adaptive")
+        for category in CATEGORIES
+    }
+    sums = {
+        method: [
+            sum(rate.count for category in CATEGORIES if (rate := getattr(rows[method, category], name)))
+            for name in ("success", "within_best_tries")
+        ]
+        for method in ("d435_calibrated", "dp3_adaptive")
+    }
+    (opened, within), exact = sums["d435_calibrated"], sums["dp3_adaptive"]
+    text = f"it opens {opened} of 900, within the tries {within}; with exact clouds {exact[0]} and {exact[1]}."
+    assert text in DOCUMENTS["docs/sensing.md"]
 
 
 def test_the_twin_opens_what_the_evaluation_opened() -> None:
