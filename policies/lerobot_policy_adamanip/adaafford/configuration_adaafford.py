@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
@@ -13,6 +14,11 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 @dataclass
 class AdaAffordConfig(AffordanceConfig):
     """Options of ``adaafford``. The comment above a field is its help in ``--policy.type=adaafford --help``."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | {
+        "num_candidates", "num_astray", "held_proposals", "contact_points", "contact_proposals", "explorations",
+        "least_information", "contact_margin", "offset_weight", "divergence_weight", "free_divergence",
+    }  # fmt: skip
 
     # Number of nearest points that describe a place.
     patch_points: int = 32

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
@@ -13,6 +14,11 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 @dataclass
 class VatMartConfig(AffordanceConfig):
     """Options of ``vat_mart``. The comment above a field is its help in ``--policy.type=vat_mart --help``."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | {
+        "proposals", "training_proposals", "best_proposals", "divergence_weight", "free_divergence", "grasp_weight",
+        "rotation_weight",
+    }  # fmt: skip
 
     # Number of key frames of a plan after the hand has closed.
     waypoints: int = 8
