@@ -225,6 +225,11 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     # Run time: observation -> window -> action ----------------------------------------------------------------------
 
+    def train(self, mode: bool = True) -> "DP3AdaptivePolicy":
+        """Switches modes, and ends the memory over episodes: LeRobot calls ``eval()`` before each evaluation."""
+        self._episodes = 0
+        return super().train(mode)
+
     def reset(self) -> None:
         """Clears the histories at an episode's start; with ``memory_episodes`` of K, at every K-th.
 
