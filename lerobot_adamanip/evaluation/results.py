@@ -27,7 +27,7 @@ from lerobot_adamanip.evaluation.provenance import (
     present_origin,
 )
 from lerobot_adamanip.evaluation.rates import LINE
-from lerobot_adamanip.evaluation.record import EpisodeRecord, without_repeats
+from lerobot_adamanip.evaluation.record import LIMITS, EpisodeRecord, mixed_settings, without_repeats
 from lerobot_adamanip.evaluation.report import OBJECT_SPLITS
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
@@ -320,7 +320,7 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
         command: as typed; raises `ConfigurationError` if it contains a local path.
 
     Raises:
-        ConfigurationError: several simulation versions or scene splits are mixed.
+        ConfigurationError: several simulation versions or scene splits are mixed, or settings of one label.
     """
     records = [one for part in evaluations.values() for one in part]
     kinds = sorted({(one.provenance.simulation_version, one.split) for one in records}, key=str)
@@ -331,6 +331,14 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
             allowed="episodes of one version and one split",
             hint="a new log, or a result file for each",
         )
+    for label, part in evaluations.items():
+        for name, values in mixed_settings(part).items():
+            raise ConfigurationError(
+                f"A result is of one setting, but {LIMITS[name]} are mixed.",
+                got=f"{label}: {', '.join(values)}",
+                allowed="one value of each setting",
+                hint="a log for each, or adamanip report LOG without --pool",
+            )
     return make_result(
         [row for label, part in evaluations.items() for row in rows_of_records(part, label)],
         kind="policy",
