@@ -6,6 +6,7 @@ A file in ``results/``, of `adamanip report --out` or of a benchmark's cell is o
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shlex
@@ -242,8 +243,17 @@ class ResultFile(Origin):
 
 
 def command_options(command: str) -> dict[str, str]:
-    """Returns the ``--NAME=VALUE`` options of a command, name -> value."""
-    return {name: value for name, _, value in (word.partition("=") for word in shlex.split(command))}
+    """Returns the options of a command, name -> value, empty if it has none.
+
+    LeRobot's may be ``--NAME=VALUE`` or ``--NAME VALUE``. The word after one of `adamanip`'s switches is no value.
+    """
+    words, options = shlex.split(command), dict[str, str]()
+    for word, following in itertools.zip_longest(words, words[1:], fillvalue="--"):
+        name, equals, value = word.partition("=")
+        if name.startswith("--"):
+            is_value = not equals and not following.startswith("--") and words[0] != "adamanip"
+            options[name] = following if is_value else value
+    return options
 
 
 def check_command(command: str) -> str:
