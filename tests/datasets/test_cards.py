@@ -230,10 +230,11 @@ def test_options_of_a_command_with_spaces_are_those_with_equals_signs() -> None:
     options = "--env.control=dense --env.sensing='d435,arm_error_mm=0' --env.split=test"
     words = f"lerobot-eval {options} --eval.recording --seed=1"
     assert command_options(words.replace("=", " ", 1).replace("split=", "split ")) == command_options(words)
-    assert command_options(words) == {
+    expected = {
         "--env.control": "dense", "--env.sensing": "d435,arm_error_mm=0", "--env.split": "test", "--eval.recording": "",
         "--seed": "1",
     }  # fmt: skip
+    assert command_options(words) == expected
     assert command_options("adamanip collect --cloud DIR --seed=1") == {"--cloud": "", "--seed": "1"}
 
 

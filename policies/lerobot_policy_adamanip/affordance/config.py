@@ -17,8 +17,10 @@ class AffordanceConfig(CloudPolicyConfig):
     """Base configuration: a cloud and a tool pose in metres in, a pose out."""
 
     FREE_OPTIONS: ClassVar[frozenset[str]] = CloudPolicyConfig.FREE_OPTIONS | {
-        "optimizer_lr", "optimizer_weight_decay", "scheduler_warmup_steps",
-    }  # fmt: skip
+        "optimizer_lr",
+        "optimizer_weight_decay",
+        "scheduler_warmup_steps",
+    }
 
     # Number of points that describe the whole cloud (its first ones); places are described by all points.
     context_points: int = 256

@@ -109,6 +109,12 @@ SIZES = (*COUNTS, "down_dims", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
 
+FREE = {
+    "inference", "n_action_steps", "memory_episodes", "num_refinements", "noise_scheduler_type",
+    "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror", "optimizer_lr",
+    "scheduler_warmup_steps",
+}  # fmt: skip
+"""Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
 READ_HISTORY = ("no_repeat", "no_undo", "back_off")
 """Rules at inference that read past actions."""
 
@@ -156,11 +162,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
 
-    FREE_OPTIONS: ClassVar[frozenset[str]] = CloudPolicyConfig.FREE_OPTIONS | {
-        "inference", "n_action_steps", "memory_episodes", "num_refinements", "noise_scheduler_type",
-        "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror", "optimizer_lr",
-        "scheduler_warmup_steps",
-    }  # fmt: skip
+    FREE_OPTIONS: ClassVar[frozenset[str]] = CloudPolicyConfig.FREE_OPTIONS | FREE
 
     # Preset, the defaults of the options below. For key frames: keyframe. For control rate: dense. Both are of a size
     # for two CPU cores. For either: dp3 or paper (as published).

@@ -15,9 +15,7 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 class SamplingConfig(AffordanceConfig):
     """Options of ``sampling``. The comment above a field is its help in ``--policy.type=sampling --help``."""
 
-    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | {
-        "likely_share", "divergence_weight",
-    }  # fmt: skip
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | {"likely_share", "divergence_weight"}
 
     # Number of typical motions of the demonstrations; the set contains each one and its reverse.
     num_motions: int = 6
