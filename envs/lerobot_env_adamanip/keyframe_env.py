@@ -173,6 +173,9 @@ class RunningEpisode:
             repeat=self._repeat,
             sensing=self._options.sensing,
             hints=self._options.hints,
+            self_calibration=self._options.self_calibration,
+            control=self._options.control,
+            fps=self._options.fps if self._is_dense else None,
             provenance=self._provenance,
         )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -68,10 +69,13 @@ class ReportCommand:
         comparison = compare(evaluations)
         for path in self.out:
             self._write(evaluations, path)
-        surplus = () if self.episodes else (SURPLUS,)
+        few = list(self._too_few(evaluations)) if self.episodes else []
+        surplus = [f"Warning: {warning}" for warning in few] if self.episodes else [SURPLUS]
         lines = (*comparison.lines(), *surplus, *(f"written: {path}" for path in self.out))
         text = "\n".join((comparison.title, "", comparison.table(), "", *lines))
-        print_result(self.json, {**comparison.to_json(), "out": self.out}, text)
+        result = comparison.to_json()
+        result["warnings"] += few
+        print_result(self.json, {**result, "out": self.out}, text)
         return 0
 
     def _write(self, evaluations: Evaluations, path: Path) -> None:
@@ -99,6 +103,14 @@ class ReportCommand:
             raise ConfigurationError(
                 "No episode log given.", got="nothing", allowed="one or more files", hint="adamanip report LOG"
             )
+        paths = [path.resolve() for path in self.logs]
+        if len(set(paths)) < len(paths):
+            raise ConfigurationError(
+                "An episode log is given twice.",
+                got=", ".join(map(str, self.logs)),
+                allowed="each log once; its evaluations get a column each",
+                hint=f"adamanip report {' '.join(dict.fromkeys(map(str, self.logs)))}",
+            )
         if not self.label:
             stems = [path.stem for path in self.logs]
             return stems if len(set(stems)) == len(stems) else [str(path) for path in self.logs]
@@ -108,6 +120,14 @@ class ReportCommand:
                 "Labels do not fit.", got=got, allowed="one per log, all different", hint="--label adaptive static"
             )
         return list(self.label)
+
+    def _too_few(self, evaluations: Evaluations) -> Iterator[str]:
+        """Yields a warning for each evaluation and category with fewer episodes than ``--episodes``."""
+        for label, records in evaluations.items():
+            episodes = {(record.category, record.given_seed) for record in records}
+            for category, count in Counter(category for category, _ in sorted(episodes)).items():
+                if self.episodes is not None and count < self.episodes:
+                    yield f"{label}: {count} episodes of {category}, not {self.episodes}"
 
     def _evaluations(self, logs: Evaluations) -> Iterator[tuple[str, list[EpisodeRecord]]]:
         """Yields label and records of each evaluation. Several in one log are numbered."""

@@ -126,7 +126,7 @@ def check_replays(
         for done, index in enumerate(indices, start=1):
             result = _replay(dataset, manifest, index, environments)
             if not result.agrees(tolerance):
-                largest = max(result.differences, key=lambda key: result.differences[key])
+                largest = max(result.differences, key=lambda key: np.nan_to_num(result.differences[key], nan=np.inf))
                 text = f"{largest} differs by {result.differences[largest]:.3g}, success {result.success}"
                 changed = f"; since then {', '.join(result.changed)} changed" if result.changed else ""
                 report.add("replay", text + changed, None, index)
@@ -175,7 +175,8 @@ def _replay(
         key_frames=len(episode) - 1,
         replayed=len(observations) - 1,
         differences={
-            key: float(max(np.abs(frame[key] - episode.columns[key][t]).max() for t, frame in enumerate(observations)))
+            # `max` of floats would drop a NaN.
+            key: float(np.max([np.abs(row[key] - episode.columns[key][t]).max() for t, row in enumerate(observations)]))
             for key in _COMPARED
             if key in episode.columns
         },

@@ -91,6 +91,8 @@ class TrainedPolicy:
             ) from error
         config = PreTrainedConfig.from_pretrained(str(path))
         config.device, config.pretrained_path = device, path
+        if hasattr(config, "memory_episodes"):
+            config.memory_episodes = 1  # else an episode would depend on those before it in its worker
         self._policy: Any = get_policy_class(config.type).from_pretrained(str(path), config=config)
         self._policy.to(device).eval()
         overrides = {"device_processor": {"device": device}}

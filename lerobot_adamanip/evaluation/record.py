@@ -19,6 +19,7 @@ from typing import Any
 
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
+from lerobot_adamanip.contract.control import CONTROLS, KEYFRAME
 from lerobot_adamanip.contract.seeds import SPLITS
 from lerobot_adamanip.contract.sensing import EXACT, SENSING_TEXT
 from lerobot_adamanip.episode.options import POSES
@@ -33,8 +34,17 @@ TryMade = tuple[int, int, bool]
 """A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
 Boundaries = Mapping[tuple[str, str], float]
 """(category, hidden name) -> median that halves a continuous range."""
-_OPTIONAL: Mapping[str, Any] = {"repeat": 0, "sensing": EXACT, "hints": 0.0, "episode": None, "seconds": None}
+_OPTIONAL: Mapping[str, Any] = {
+    "repeat": 0, "sensing": EXACT, "hints": 0.0, "episode": None, "seconds": None, "self_calibration": False,
+    "control": KEYFRAME, "fps": None,
+}  # fmt: skip
 """Fields that a log holds only if they differ from these values."""
+LIMITS = {
+    "max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses",
+    "sensing": "errors of sensors", "hints": "shares of hints", "self_calibration": "self-calibrations",
+    "control": "controls", "fps": "rates of control",
+}  # fmt: skip
+"""Field of a record that decides how hard its episode is -> what a warning calls its values."""
 _STORED_RULES = "mechanism_preset"
 """Key of the mechanism rules in a log."""
 
@@ -96,6 +106,9 @@ class EpisodeRecord:
         hints: share of episodes whose instruction says what is hidden.
         episode: number in the recording, of an episode that the robot's twin recorded.
         seconds: simulated time, of an episode of the twin.
+        self_calibration: whether the camera calibrated itself on the robot's hand.
+        control: one of `contract.control.CONTROLS`.
+        fps: steps per second at control rate [Hz]; None for key frames.
         provenance: software and run.
     """
 
@@ -118,6 +131,9 @@ class EpisodeRecord:
     hints: float = 0.0
     episode: int | None = None
     seconds: float | None = None
+    self_calibration: bool = False
+    control: str = KEYFRAME
+    fps: int | None = None
     provenance: Provenance
 
     @property
@@ -153,7 +169,13 @@ class EpisodeRecord:
 
     @property
     def identity(self) -> tuple[object, ...]:
-        """Key of the episode, independent of the policy."""
+        """Key of the episode, independent of the policy: its scene, and the settings that it was played with."""
+        made_by = self.provenance.simulation_version, self.provenance.mechanism_rules
+        return (self.scene, *made_by, *(getattr(self, name) for name in LIMITS))
+
+    @property
+    def scene(self) -> tuple[object, ...]:
+        """Key of the scene, and of the repeat in it."""
         scene = (self.seed, self.object_id, tuple(sorted(self.hidden_state.items())))
         return (*scene, self.repeat) if self.repeat else scene
 
@@ -254,13 +276,29 @@ def read_log(path: Path) -> list[EpisodeRecord]:
 def without_repeats(records: Iterable[EpisodeRecord]) -> list[EpisodeRecord]:
     """Returns the records without repeated episodes; of equal episodes, the last one stays.
 
-    Episodes are equal if seed, object and hidden state are. A seed on seen and on unseen objects is two episodes.
+    Episodes are equal if seed, object, hidden state and settings are. A seed on seen and on unseen objects is two.
     """
     last: dict[tuple[object, ...], EpisodeRecord] = {}
     for record in records:
         last.pop(record.identity, None)
         last[record.identity] = record
     return list(last.values())
+
+
+def mixed_settings(records: Iterable[EpisodeRecord]) -> dict[str, tuple[str, ...]]:
+    """Returns the fields in `LIMITS` with more than one value in an evaluation: name -> values, as text."""
+    values: dict[str, dict[object, set[str]]] = {name: {} for name in LIMITS}
+    for record in records:
+        # The limit `best` differs by mechanism.
+        mechanism = record.category, record.provenance.mechanism_rules, frozenset(record.hidden_state)
+        for name, seen in values.items():
+            where = mechanism if name == "max_failed_tries" else None
+            seen.setdefault(where, set()).add(str(getattr(record, name)))
+    return {
+        name: tuple(sorted(set().union(*seen.values())))
+        for name, seen in values.items()
+        if any(len(each) > 1 for each in seen.values())
+    }
 
 
 def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
@@ -367,6 +405,9 @@ _RECORD = json_fields.table(
         "hints": json_fields.number(0.0, 1.0),
         "episode": json_fields.optional(_COUNT),
         "seconds": json_fields.optional(json_fields.number(0.0, 1e9)),
+        "self_calibration": json_fields.flag,
+        "control": json_fields.choice(CONTROLS),
+        "fps": json_fields.optional(_COUNT),
         "poses": json_fields.choice(POSES),
         "clipped_goals": _COUNT,
         "try_sequence": json_fields.listing(_try, 0, 10_000),

@@ -13,10 +13,12 @@ from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_b
 from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
 from lerobot_adamanip.evaluation.rates import Difference, Mean, Rate, difference, encode, rate
 from lerobot_adamanip.evaluation.record import (
+    LIMITS,
     Boundaries,
     EpisodeRecord,
     hidden_boundaries,
     hidden_names,
+    mixed_settings,
     without_repeats,
 )
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
@@ -26,11 +28,6 @@ OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
 _SCENE_SPLITS = ("test", "validation", "train", "other")
 _NO_DATA = frozenset({"-", "0/0"})
 _MADE_BY = ("simulation_version", "version", "mechanism_rules")
-_LIMITS = {
-    "max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses",
-    "sensing": "errors of sensors", "hints": "shares of hints",
-}  # fmt: skip
-"""Field of a record that decides how hard its episode is -> what a warning calls its values."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +112,8 @@ class EvaluationSummary:
             evaluations were mixed.
         versions: installed versions of each episode, by name.
         failed_tries: category -> kind of try -> number of failed ones, see `failed_tries`.
-        limits: field of a record in `_LIMITS` -> values that occur, as text.
+        limits: field of a record in `LIMITS` -> values that occur, as text.
+        mixed: those with several values that are not to be mixed, see `mixed_settings`.
     """
 
     episodes: int
@@ -125,6 +123,7 @@ class EvaluationSummary:
     made_by: Mapping[str, tuple[str, ...]]
     versions: Sequence[Mapping[str, str]]
     limits: Mapping[str, tuple[str, ...]]
+    mixed: Mapping[str, tuple[str, ...]]
     again: Mapping[int, tuple[Rate, Mean]]
     failed_tries: FailedTries
 
@@ -183,7 +182,8 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         objects={name: rate(sum(successes), len(successes)) for name, successes in sorted(objects.items())},
         made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
         versions=[record.provenance.versions for record in kept],
-        limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in _LIMITS},
+        limits={name: tuple(sorted({str(getattr(record, name)) for record in kept})) for name in LIMITS},
+        mixed=mixed_settings(kept),
         again=_again(kept) if max((record.repeat for record in kept), default=0) else {},
         failed_tries=failed_tries_by_kind(kept),
     )
@@ -298,11 +298,13 @@ class Comparison:
             for name in ("simulation_version", "mechanism_rules"):
                 if len(values := summary.made_by[name]) > 1:
                     yield f"{label}: its episodes are of more than one {name.replace('_', ' ')}: {', '.join(values)}"
+            for name, values in summary.mixed.items():
+                yield f"{label}: {LIMITS[name]} are mixed ({', '.join(values)}); a number is of one setting"
         compared: dict[str, list[tuple[str, ...]]] = {
             "simulation versions": [summary.made_by["simulation_version"] for summary in summaries],
             "mechanism rules": [summary.made_by["mechanism_rules"] for summary in summaries],
             "splits of scenes": [(summary.scenes,) for summary in summaries],
-            **{what: [summary.limits[name] for summary in summaries] for name, what in _LIMITS.items()},
+            **{what: [summary.limits[name] for summary in summaries] for name, what in LIMITS.items()},
         }
         for what, values_by_label in compared.items():
             if len(set(values_by_label)) > 1:
@@ -343,7 +345,7 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         if group in summary.groups
     )
     failed_tries = {
-        label: {record.identity: record.failed_tries for record in without_repeats(records) if record.success}
+        label: {record.scene: record.failed_tries for record in without_repeats(records) if record.success}
         for label, records in evaluations.items()
     }
     extra = {}

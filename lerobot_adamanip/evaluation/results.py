@@ -6,6 +6,7 @@ A file in ``results/``, of `adamanip report --out` or of a benchmark's cell is o
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shlex
@@ -27,7 +28,7 @@ from lerobot_adamanip.evaluation.provenance import (
     present_origin,
 )
 from lerobot_adamanip.evaluation.rates import LINE
-from lerobot_adamanip.evaluation.record import EpisodeRecord, without_repeats
+from lerobot_adamanip.evaluation.record import LIMITS, EpisodeRecord, mixed_settings, without_repeats
 from lerobot_adamanip.evaluation.report import OBJECT_SPLITS
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
@@ -242,8 +243,17 @@ class ResultFile(Origin):
 
 
 def command_options(command: str) -> dict[str, str]:
-    """Returns the ``--NAME=VALUE`` options of a command, name -> value."""
-    return {name: value for name, _, value in (word.partition("=") for word in shlex.split(command))}
+    """Returns the options of a command, name -> value, empty if it has none.
+
+    LeRobot's may be ``--NAME=VALUE`` or ``--NAME VALUE``. The word after one of `adamanip`'s switches is no value.
+    """
+    words, options = shlex.split(command), dict[str, str]()
+    for word, following in itertools.zip_longest(words, words[1:], fillvalue="--"):
+        name, equals, value = word.partition("=")
+        if name.startswith("--"):
+            is_value = not equals and not following.startswith("--") and words[0] != "adamanip"
+            options[name] = following if is_value else value
+    return options
 
 
 def check_command(command: str) -> str:
@@ -320,7 +330,7 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
         command: as typed; raises `ConfigurationError` if it contains a local path.
 
     Raises:
-        ConfigurationError: several simulation versions or scene splits are mixed.
+        ConfigurationError: several simulation versions or scene splits are mixed, or settings of one label.
     """
     records = [one for part in evaluations.values() for one in part]
     kinds = sorted({(one.provenance.simulation_version, one.split) for one in records}, key=str)
@@ -331,6 +341,14 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
             allowed="episodes of one version and one split",
             hint="a new log, or a result file for each",
         )
+    for label, part in evaluations.items():
+        for name, values in mixed_settings(part).items():
+            raise ConfigurationError(
+                f"A result is of one setting, but {LIMITS[name]} are mixed.",
+                got=f"{label}: {', '.join(values)}",
+                allowed="one value of each setting",
+                hint="a log for each, or adamanip report LOG without --pool",
+            )
     return make_result(
         [row for label, part in evaluations.items() for row in rows_of_records(part, label)],
         kind="policy",

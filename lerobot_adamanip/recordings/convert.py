@@ -44,7 +44,8 @@ class ConvertOptions:
         rows: points, images and workspace; a mix takes them from its simulated datasets.
         camera: key of the camera whose depth becomes the cloud.
         calibration: camera calibration file; None uses the file in each recording.
-        successful: whether rollout episodes, which record no success, count as successful at their last row.
+        successful: whether rollout episodes, which record no success, count as successful at their last row. Of their
+            interventions, that is one that lasts to the end of the episode.
         skip_still: whether to skip episodes without motion instead of raising an error.
         repo_id: dataset name; default ``local/<folder name>``.
     """
@@ -173,7 +174,10 @@ class _Conversion:
             for number in range(len(recording)):
                 if self.options.calibration is None:
                     calibration = recording.calibration_of(number, calibration)
-                for begin, part in _parts(recording.episode(number)):
+                episode = recording.episode(number)
+                if self.options.successful and not recording.has_success and not episode.success.any():
+                    episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
+                for begin, part in _parts(episode):
                     converted = self._converted(recording, number, begin, part, calibration)
                     if converted is not None:
                         path = self.work / "episodes" / f"{done:06d}-{begin:06d}.safetensors"
@@ -195,8 +199,6 @@ class _Conversion:
                 raise DatasetError(what, got=error, allowed="motion", hint="--skip-still") from error
             self.skipped.append(name)
             return None
-        if options.successful and not recording.has_success and not episode.success.any():
-            episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
         columns = demonstration_columns(
             episode, chosen, lambda tick: recording.pictures(number, begin + tick), calibration, options.rows
         )

@@ -56,7 +56,8 @@ def demonstration_columns(
         DatasetError: images are requested but not recorded.
     """
     rows, count = chosen.rows, len(chosen.rows)
-    success = np.maximum.accumulate(episode.success[np.r_[rows[1:], rows[-1:]]])
+    # Done by the end of the row's action, at the next row's reading; the last row's lasts to the end of the episode.
+    success = np.maximum.accumulate(episode.success)[np.r_[rows[1:], len(episode) - 1]]
     labels: dict[str, NDArray[Any]] = {
         schema.PHASE: np.full(count, UNLABELLED),
         schema.TRIAL: np.full(count, UNLABELLED),

@@ -93,6 +93,16 @@ def test_json_is_one_object_with_counts_that_add_up(logs: tuple[str, str], capsy
     assert column["episodes"] == 15
 
 
+def test_fewer_episodes_than_asked_are_warned_of_and_a_log_counts_once(
+    logs: tuple[str, str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert report(capsys, logs[0], "--episodes", "20")["warnings"] == []
+    (warning,) = report(capsys, logs[0], "--episodes", "100")["warnings"]
+    assert "20 episodes of safe, not 100" in warning
+    assert cli.main(["report", logs[0], logs[0]]) == 2
+    assert "given twice" in capsys.readouterr().err
+
+
 def test_tables_show_the_same_numbers(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["report", *logs, "--label", "with history", "[bold]static"]) == 0
     printed = capsys.readouterr().out

@@ -25,6 +25,7 @@ from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.record import append_record
+from lerobot_adamanip.evaluation.results import command_options
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 from lerobot_adamanip.hub.model_index import results_for_card
 from lerobot_adamanip.hub.scan import Names, scan
@@ -223,6 +224,18 @@ def test_a_card_names_the_scenes_of_its_policy() -> None:
     words = command({**scenes, "episode_length": 20}).split()
     assert {f"--env.{name}={value}" for name, value in scenes.items()} <= set(words)
     assert "--env.episode_length=20" in words
+
+
+def test_options_of_a_command_with_spaces_are_those_with_equals_signs() -> None:
+    options = "--env.control=dense --env.sensing='d435,arm_error_mm=0' --env.split=test"
+    words = f"lerobot-eval {options} --eval.recording --seed=1"
+    assert command_options(words.replace("=", " ", 1).replace("split=", "split ")) == command_options(words)
+    expected = {
+        "--env.control": "dense", "--env.sensing": "d435,arm_error_mm=0", "--env.split": "test", "--eval.recording": "",
+        "--seed": "1",
+    }  # fmt: skip
+    assert command_options(words) == expected
+    assert command_options("adamanip collect --cloud DIR --seed=1") == {"--cloud": "", "--seed": "1"}
 
 
 def test_results_of_an_episode_log_need_its_command(

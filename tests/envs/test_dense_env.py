@@ -206,6 +206,7 @@ def test_a_try_that_goes_on_is_not_one_too_many() -> None:
     try:
         observation, _ = env.reset(seed=3)
         assert dense_rollout(env, observation, expert_of(env, 3)).success
+        assert (env.episode.record().control, env.episode.record().fps) == ("dense", env.options.fps)
         env.reset(seed=3, options={"hidden_overrides": {"locked": True}})
         result = dense_rollout(env, observation, expert_of(env, 3))
         assert not result.success

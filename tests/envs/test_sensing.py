@@ -185,6 +185,7 @@ def test_clouds_are_corrected_by_the_hand_in_them(sensing: str, most: float) -> 
             seen = until_held(env, seed, locked=True)
             assert len(seen) >= 4
             assert off(env) < most
+            assert env.episode.record().self_calibration
             assert env.episode.task.cameras.calibration.frames >= 3
             again = until_held(env, seed, locked=False)
             assert [digest(one) for one in seen] == [digest(one) for one in again]

@@ -11,9 +11,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records import record
 
-from lerobot_adamanip.evaluation.record import LABEL, EpisodeRecord, append_record, new_run_id, read_log
+from lerobot_adamanip.evaluation.record import (
+    LABEL,
+    LIMITS,
+    EpisodeRecord,
+    append_record,
+    mixed_settings,
+    new_run_id,
+    read_log,
+)
 from lerobot_adamanip.evaluation.report import compare
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.evaluation.results import policy_result
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 
 GOOD: dict[str, Any] = record(locked=True, seed=1000, blocked_pulls=1, object_id="safe_003").to_json()
 
@@ -114,16 +123,41 @@ def test_missing_empty_and_binary_logs_are_told(tmp_path: Path) -> None:
 
 
 def test_errors_of_sensors_and_hints_are_logged_where_there_are_any() -> None:
-    plain, other = record(), record(sensing="d435,camera_error_mm=20", hints=0.5)
-    assert not {"sensing", "hints"} & plain.to_json().keys(), "a log without them is as before"
+    dense = {"self_calibration": True, "control": "dense", "fps": 10}
+    plain, other = record(), record(sensing="d435,camera_error_mm=20", hints=0.5, **dense)
+    assert not {"sensing", "hints", *dense} & plain.to_json().keys(), "a log without them is as before"
     assert EpisodeRecord.from_json(json.loads(json.dumps(other.to_json()))) == other
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("sensing", "d435"), ("hints", 0.5), ("poses", "fixed"), ("max_key_frames", 300), ("max_failed_tries", 1)),
+        *(("self_calibration", True), ("control", "dense"), ("fps", 10)),
+    ],
+)
+def test_episodes_of_two_settings_are_both_counted_warned_of_and_no_result(name: str, value: Any) -> None:
+    records = [record(success=False), record(**{name: value})]
+    comparison = compare({"pooled": records})
+    assert comparison.summaries["pooled"].overall.success.episodes == 2
+    (warning,) = (line for line in comparison.warnings() if "mixed" in line)
+    assert warning.startswith(f"pooled: {LIMITS[name]} are mixed")
+    with pytest.raises(ConfigurationError, match=f"{LIMITS[name]} are mixed"):
+        policy_result({"pooled": records}, title="t", command="lerobot-eval")
+    policy_result({"one": records[:1], "other": records[1:]}, title="t", command="lerobot-eval")
+
+
+def test_the_limit_best_differs_by_mechanism() -> None:
+    records = [record(max_failed_tries=3), record(object_id="microwave_000", max_failed_tries=1)]
+    assert not mixed_settings(records)
 
 
 def test_a_repeat_is_an_episode_of_its_own_and_its_tries_are_reported_apart() -> None:
     plain, again = record(), record(repeat=1, blocked_pulls=1)
     assert "repeat" not in plain.to_json(), "a log without repeats is as before"
     assert EpisodeRecord.from_json(json.loads(json.dumps(again.to_json()))) == again
-    assert plain.identity != again.identity == (*plain.identity, 1)
+    assert plain.identity != again.identity
+    assert again.scene == (*plain.scene, 1)
     several = [record(seed=seed, repeat=number, blocked_pulls=2 - number) for seed in (1, 2) for number in range(3)]
     comparison = compare({"policy": [*several, record(seed=3, repeat=2, success=False)]})
     lines = [line for line in comparison.lines() if line.startswith("Episode ")]

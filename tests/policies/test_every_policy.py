@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -80,6 +81,50 @@ def test_the_mean_of_the_losses_of_samples_is_the_loss(make: MakePolicy, batch_o
     each.mean().backward()
     with pytest.raises(ConfigurationError, match="Unknown reduction"):
         policy.forward(dict(batch), reduction="sum")
+
+
+SEEN = ("patch_radius=0.02", "patch_points=8", "context_points=32", "num_points=64")
+OF_TRAINING = ("optimizer_lr=0.1", "scheduler_warmup_steps=7", "use_amp=true", "repo_id=someone/policy")
+CHANGES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
+    "vat_mart": (SEEN, ("proposals=3", "training_proposals=3", "grasp_weight=1")),
+    "sampling": (SEEN, ("likely_share=0.1",)),
+    "adaafford": ((*SEEN, "num_interactions=3"), ("held_proposals=3", "explorations=0", "num_astray=1")),
+    "keyframe": (
+        (
+            *("memory_kind=window", "use_feedback=false", "refinement_points=8", "coarse_points=16", "num_points=40"),
+            *("n_action_history_steps=1", "depth_camera=wrist", "workspace_lower=[0,0,0]"),
+        ),
+        (
+            *("n_action_history_steps=0", "inference.rules=true", "inference.memory=false", "memory_episodes=3"),
+            *("num_inference_steps=1", "num_refinements=1", "augmentation_mirror=0.5", "training_points=8"),
+        ),
+    ),
+    "dp3": (
+        ("pose_layout=false", "control_fps=5", "num_points=16"),
+        ("noise_scheduler_type=DDPM", "num_inference_steps=1", "n_action_steps=2", "balance_tasks=true"),
+    ),
+}
+"""Policy -> options that change what its weights see or mean, and options that do not."""
+
+
+@pytest.mark.parametrize("method", CHANGES)
+def test_what_weights_have_seen_in_training_cannot_be_changed(make: MakePolicy, tmp_path: Path, method: str) -> None:
+    policy, *_ = make(method)
+    policy.save_pretrained(tmp_path)
+    refused, accepted = CHANGES[method]
+    for change in (*refused, *accepted, *OF_TRAINING):
+        config, name = PreTrainedConfig.from_pretrained(tmp_path, cli_overrides=[f"--{change}"]), change.split("=")[0]
+        if change in refused:
+            with pytest.raises(ConfigurationError, match=rf"(?s)with another {name}\..*got: .*allowed: {name}="):
+                type(policy).from_pretrained(tmp_path, config=config)
+        else:
+            type(policy).from_pretrained(tmp_path, config=config)
+
+
+def test_options_of_a_checkpoint_that_may_be_changed_exist() -> None:
+    for kind in (*AFFORDANCE, "dp3_adaptive"):
+        config = PreTrainedConfig.get_choice_class(kind)
+        assert {each.name for each in dataclasses.fields(config)} > config.FREE_OPTIONS
 
 
 @every_affordance

@@ -156,6 +156,31 @@ def test_corrections_begin_where_somebody_takes_over(tmp_path: Path) -> None:
     assert json.loads(Dataset(tmp_path / "made").table["recorded"][0].as_py())["corrections"]
 
 
+def test_of_the_interventions_of_a_successful_episode_the_one_at_its_end_succeeds(tmp_path: Path) -> None:
+    """After the others the policy went on, and may have failed."""
+    episode = dense_episode(seed=3)
+    starts = [int(np.flatnonzero((episode.sent == stop.goal).all(axis=1))[0]) + 6 for stop in STOPS]
+    ticks = np.arange(len(episode))
+    none = np.zeros(len(episode), bool)
+    for end, successes in ((len(episode), [False, True]), (len(episode) - 1, [False, False])):
+        corrected = (ticks < starts[1]) | ((ticks >= starts[2]) & (ticks < end))
+        root = write_recording(tmp_path / f"rollout_{end}", replace(episode, success=none, corrected=corrected))
+        convert([root], tmp_path / f"made_{end}", replace(OPTIONS, successful=True))
+        assert Dataset(tmp_path / f"made_{end}").table["success"].to_pylist() == successes
+
+
+def test_a_success_at_a_last_tick_that_repeats_a_reading_counts() -> None:
+    episode = dense_episode(seed=3)
+    for values in (episode.state, episode.stamp):
+        values[-1] = values[-2]
+    episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
+    chosen = choose_key_frames(episode, FPS)
+    assert chosen.rows[-1] < len(episode) - 1
+    pictures = lambda tick: (None, depth_at(tick)[..., 0])  # noqa: E731
+    columns = demonstration_columns(episode, chosen, pictures, calibration(), RowOptions(POINTS, None))
+    assert columns[schema.SUCCESS][:, 0].tolist() == [False] * (len(chosen.rows) - 1) + [True]
+
+
 def test_what_a_roll_out_asked_for_outside_the_box_is_not_told_as_executed(tmp_path: Path) -> None:
     episode = dense_episode(seed=3)
     corrected = replace(episode, corrected=np.ones(len(episode), bool))

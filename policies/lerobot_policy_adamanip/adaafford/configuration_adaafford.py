@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
 from lerobot_policy_adamanip.affordance.config import AffordanceConfig
+
+FREE = {
+    "num_candidates", "num_astray", "held_proposals", "contact_points", "contact_proposals", "explorations",
+    "least_information", "contact_margin", "offset_weight", "divergence_weight", "free_divergence",
+}  # fmt: skip
+"""Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
 
 
 @PreTrainedConfig.register_subclass("adaafford")
 @dataclass
 class AdaAffordConfig(AffordanceConfig):
     """Options of ``adaafford``. The comment above a field is its help in ``--policy.type=adaafford --help``."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | FREE
 
     # Number of nearest points that describe a place.
     patch_points: int = 32

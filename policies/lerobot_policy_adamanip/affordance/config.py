@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.optim.schedulers import DiffuserSchedulerConfig
 
@@ -14,6 +15,12 @@ from lerobot_policy_adamanip.common.config import CloudPolicyConfig, FusedAdamWC
 @dataclass
 class AffordanceConfig(CloudPolicyConfig):
     """Base configuration: a cloud and a tool pose in metres in, a pose out."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = CloudPolicyConfig.FREE_OPTIONS | {
+        "optimizer_lr",
+        "optimizer_weight_decay",
+        "scheduler_warmup_steps",
+    }
 
     # Number of points that describe the whole cloud (its first ones); places are described by all points.
     context_points: int = 256

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field
-from typing import Any
+from dataclasses import asdict, dataclass, field, fields
+from typing import Any, ClassVar
 
+import draccus
 import torch
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import FeatureType, NormalizationMode, PolicyFeature
@@ -68,6 +69,11 @@ def flush_moments(optimizer: torch.optim.Optimizer, *_: object) -> None:
 class CloudPolicyConfig(PreTrainedConfig):
     """Base configuration. The comment above a field is its help on the command line."""
 
+    FREE_OPTIONS: ClassVar[frozenset[str]] = frozenset(
+        {each.name for each in fields(PreTrainedConfig)} - {"n_obs_steps"} | {"action_feature_names"}
+    )
+    """Options that may differ from a checkpoint's: they change neither what its weights see nor what they mean."""
+
     # Set automatically: names and shapes of the inputs, from the dataset.
     input_features: dict[str, PolicyFeature] | None = field(default_factory=dict)
     # Set automatically: name and shape of the action, from the dataset.
@@ -97,6 +103,14 @@ class CloudPolicyConfig(PreTrainedConfig):
 
     def check(self) -> None:
         """Raises `ConfigurationError` for options that do not fit together."""
+
+    def changed_options(self, trained: CloudPolicyConfig) -> dict[str, tuple[Any, Any]]:
+        """Returns options with a value that weights were not trained with: name -> own value, trained value."""
+        own, saved = draccus.encode(self), draccus.encode(trained)
+        for options in (own, saved):
+            options["pose_layout"] = options["pose_layout"] is not False  # see `has_pose_layout`
+        names = own.keys() - self.FREE_OPTIONS
+        return {name: (own[name], saved[name]) for name in sorted(names) if own[name] != saved[name]}
 
     @property
     def observation_delta_indices(self) -> list[int] | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import torch
+from lerobot.configs.policies import PreTrainedConfig
 from lerobot.policies.pretrained import PreTrainedPolicy
 from torch import Tensor
 
@@ -81,8 +82,13 @@ class CloudPolicy(PreTrainedPolicy):
 
     @classmethod
     def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
-        """Loads strictly; LeRobot's default would leave missing weights at random values."""
+        """Loads strictly; LeRobot's default would leave missing weights at random values.
+
+        Raises `ConfigurationError` for other weights, and for options that change what the weights see or mean.
+        """
         folder = Path(model_file).parent
+        if (folder / "config.json").is_file():  # absent for weights of another revision than main, from the Hub
+            require_trained_options(model.config, folder)
         log_training_objects(folder)
         try:
             return super()._load_as_safetensor(model, model_file, map_location, True)
@@ -158,6 +164,18 @@ class CloudPolicy(PreTrainedPolicy):
             super().push_model_to_hub(shareable(cfg), *args, **kwargs)
         finally:
             self.config = kept
+
+
+def require_trained_options(config: CloudPolicyConfig, checkpoint: Path) -> None:
+    """Raises `ConfigurationError` for options that a checkpoint's weights were not trained with."""
+    trained = PreTrainedConfig.from_pretrained(checkpoint)
+    if isinstance(trained, type(config)) and (changed := config.changed_options(trained)):
+        raise ConfigurationError(
+            f"The checkpoint {checkpoint} was trained with another {', '.join(changed)}.",
+            got=", ".join(f"{name}={own}" for name, (own, _) in changed.items()),
+            allowed=", ".join(f"{name}={value}" for name, (_, value) in changed.items()),
+            hint=f"leave {' '.join(f'--policy.{name}' for name in changed)} out, or train new weights",
+        )
 
 
 def dense_fps(dataset_meta: Any) -> int | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 from lerobot.configs.types import NormalizationMode
@@ -109,10 +109,14 @@ SIZES = (*COUNTS, "down_dims", "encoder_dims", "num_refinements")
 HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps", "down_dims")
 
 
+FREE = {
+    "inference", "n_action_steps", "memory_episodes", "num_refinements", "noise_scheduler_type",
+    "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror", "optimizer_lr",
+    "scheduler_warmup_steps",
+}  # fmt: skip
+"""Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
 READ_HISTORY = ("no_repeat", "no_undo", "back_off")
 """Rules at inference that read past actions."""
-SEEN_IN_TRAINING = ("memory_kind", "use_feedback", "horizon")
-"""Options that change no shape of a weight, and what it has seen in training."""
 
 
 @dataclass
@@ -157,6 +161,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     The comment above a field is its help in ``lerobot-train --policy.type=dp3_adaptive --help``.
     """
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = CloudPolicyConfig.FREE_OPTIONS | FREE
 
     # Preset, the defaults of the options below. For key frames: keyframe. For control rate: dense. Both are of a size
     # for two CPU cores. For either: dp3 or paper (as published).
@@ -234,6 +240,11 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         self._check_sizes()
         self._check_horizon()
         self._check_history()
+
+    def changed_options(self, trained: CloudPolicyConfig) -> dict[str, tuple[Any, Any]]:
+        """Returns options as `CloudPolicyConfig.changed_options`; a policy may act without its memory."""
+        changed = super().changed_options(trained)
+        return {name: values for name, values in changed.items() if (name, values[0]) != ("n_action_history_steps", 0)}
 
     @property
     def method(self) -> HeadMethod:

@@ -9,7 +9,6 @@ baseline at inference) and `diffusion` (the heads for chunks of actions).
 
 import copy
 from collections import deque
-from pathlib import Path
 from typing import Any
 
 import torch
@@ -20,13 +19,12 @@ from torch import Tensor
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
-from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs, strokes
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
-from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import SEEN_IN_TRAINING, DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, MIRRORING
 from lerobot_policy_adamanip.dp3_adaptive.truncated import TruncatedHead
 
@@ -89,22 +87,6 @@ class DP3AdaptivePolicy(CloudPolicy):
         if self._sees_from_tool:
             return diffusion.MemoryDiffusionHead(self.config)
         return diffusion.BaseDiffusionHead(self.config, stats)
-
-    @classmethod
-    def _load_as_safetensor(cls, model: Any, model_file: str, map_location: str, strict: bool) -> Any:
-        """Loads strictly, and refuses other values of options that change what weights see, but not their shapes."""
-        folder = Path(model_file).parent
-        path = folder / "config.json"  # absent for weights of another revision than the configuration's, on the Hub
-        saved = json_fields.read(path) if path.is_file() else {}
-        for name in SEEN_IN_TRAINING:
-            if name in saved and saved[name] != getattr(model.config, name):
-                raise ConfigurationError(
-                    f"The checkpoint {folder} was trained with another {name}.",
-                    got=f"{name}={getattr(model.config, name)}",
-                    allowed=f"{name}={saved[name]}",
-                    hint=f"leave --policy.{name} out, or train new weights",
-                )
-        return super()._load_as_safetensor(model, model_file, map_location, strict)
 
     @classmethod
     def from_pretrained(
@@ -242,6 +224,11 @@ class DP3AdaptivePolicy(CloudPolicy):
         )
 
     # Run time: observation -> window -> action ----------------------------------------------------------------------
+
+    def train(self, mode: bool = True) -> "DP3AdaptivePolicy":
+        """Switches modes, and ends the memory over episodes: LeRobot calls ``eval()`` before each evaluation."""
+        self._episodes = 0
+        return super().train(mode)
 
     def reset(self) -> None:
         """Clears the histories at an episode's start; with ``memory_episodes`` of K, at every K-th.

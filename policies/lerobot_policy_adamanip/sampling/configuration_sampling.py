@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
@@ -13,6 +14,8 @@ from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 @dataclass
 class SamplingConfig(AffordanceConfig):
     """Options of ``sampling``. The comment above a field is its help in ``--policy.type=sampling --help``."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | {"likely_share", "divergence_weight"}
 
     # Number of typical motions of the demonstrations; the set contains each one and its reverse.
     num_motions: int = 6

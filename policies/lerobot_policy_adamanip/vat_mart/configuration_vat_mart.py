@@ -3,16 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
 from lerobot_policy_adamanip.affordance.config import AffordanceConfig
+
+FREE = {
+    "proposals", "training_proposals", "best_proposals", "divergence_weight", "free_divergence", "grasp_weight",
+    "rotation_weight",
+}  # fmt: skip
+"""Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
 
 
 @PreTrainedConfig.register_subclass("vat_mart")
 @dataclass
 class VatMartConfig(AffordanceConfig):
     """Options of ``vat_mart``. The comment above a field is its help in ``--policy.type=vat_mart --help``."""
+
+    FREE_OPTIONS: ClassVar[frozenset[str]] = AffordanceConfig.FREE_OPTIONS | FREE
 
     # Number of key frames of a plan after the hand has closed.
     waypoints: int = 8

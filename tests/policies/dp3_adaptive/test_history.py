@@ -149,6 +149,6 @@ def test_a_memory_is_kept_over_as_many_episodes_as_told(make_tiny: MakeTiny, obs
     assert policy.executed_history(1, action)[1].any()
     opens = policy.executed_history(1, action)[0][:, -1, schema.GRIPPER_DIM] == 1.0
     assert opens, "the result of an episode's last action is not known, so it is no try"
-    policy.config.memory_episodes = 1
+    policy.eval()  # the next evaluation, of another category
     policy.reset()
     assert not policy.executed_history(1, action)[1].any()

@@ -46,6 +46,18 @@ def test_it_acts_as_the_policy_does(saved: tuple[Path, tuple[Any, ...]], observa
         np.testing.assert_allclose(found[index], wanted[0], atol=1e-6)
 
 
+def test_an_episode_does_not_remember_the_one_before(make_tiny: MakeTiny, tmp_path: Path) -> None:
+    """A worker may have run any other episode before."""
+    *parts, dataset = make_tiny(preset="keyframe", memory_episodes=3)
+    for part in parts:
+        part.save_pretrained(tmp_path)
+    actor = TrainedPolicy(tmp_path)
+    for seed in range(2):
+        actor.reset(seed)
+        assert not actor._policy.executed_history(1, torch.zeros(1))[1].any()
+        actor.act(observation(dataset, 0), "open the safe")
+
+
 def test_what_was_really_done_is_what_is_remembered(saved: tuple[Path, tuple[Any, ...]]) -> None:
     path, (*_, after, dataset) = saved
     actor = TrainedPolicy(path)
