@@ -51,11 +51,17 @@ _COUNT = integer(1, 10**8)
 _OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
 _CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
 _SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
-_ALLOWED = r"--(?!output_dir=|config_path=|[\w.]*(?:discover_packages_path|push_to_hub)=)"
-"""Start of an option that chooses no folder, imports no package and publishes nothing."""
-_VALUE = r"=[^\r\n`]{0,400}"
+GROUPS = (
+    "dataset", "env", "eval", "job", "optimizer", "peft", "policy", "reward_model", "sample_weighting", "scheduler",
+    "wandb",
+)  # fmt: skip
+"""LeRobot's groups of options. The value of a whole group, ``--env={...}``, would override all of ``--env.NAME``."""
+_REFUSED = rf"(?:output_dir|config_path|{'|'.join(GROUPS)})=|[\w.]*(?:discover_packages_path|_to_hub)="
+_ALLOWED = rf"--(?!{_REFUSED})"
+"""Start of an option that sets no whole group, chooses no folder, imports no package and publishes nothing."""
+_VALUE = r"=(?!\W*include|.*!include)[^\r\n`]{0,400}"  # LeRobot would read the value from the included file
 _OPTIONS = listing(
-    text(rf"{_ALLOWED}[a-z][\w.-]*{_VALUE}", "an option --NAME=VALUE of no folder, package or push"), 0, 60
+    text(rf"{_ALLOWED}[a-z][\w.-]*{_VALUE}", "an option --NAME=VALUE of no group, file, folder, package or push"), 0, 60
 )
 _POLICY_OPTIONS = listing(text(rf"{_ALLOWED}policy\.[a-z][\w.]*{_VALUE}", "an option --policy.NAME=VALUE"), 0, 60)
 

@@ -212,7 +212,10 @@ def _repeats(result: ResultFile) -> int:
 def scene_options(command: str) -> frozenset[tuple[str, str]]:
     """Returns the options of an evaluation's environment, name and value, that decide its scenes."""
     options = {"--env.sensing": EXACT, **evaluation_options(command)}.items()
-    return frozenset(pair for pair in options if pair[0].startswith("--env.") and not pair[0].startswith(CHOSEN))
+    # `--env=...` replaces the whole environment, so it decides its scenes too.
+    return frozenset(
+        pair for pair in options if pair[0].partition(".")[0] == "--env" and not pair[0].startswith(CHOSEN)
+    )
 
 
 def make_report(

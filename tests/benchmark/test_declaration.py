@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from benchmark_helpers import SCALE, content, declared
 
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import GROUPS, PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES, SUCCESS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -102,8 +102,14 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),
         ("methods/ours/options", ["--steps=3"], "an option --policy.NAME=VALUE"),
         ("methods/ours/train", ["steps"], "an option --NAME=VALUE"),
-        ("methods/ours/train", ["--output_dir=elsewhere"], "of no folder, package or push"),
-        ("methods/ours/evaluate", ["--env.discover_packages_path=theirs"], "of no folder, package or push"),
+        ("methods/ours/train", ["--output_dir=elsewhere"], "folder, package or push"),
+        ("methods/ours/evaluate", ["--env.discover_packages_path=theirs"], "folder, package or push"),
+        ("methods/ours/train", ["--save_checkpoint_to_hub=true"], "folder, package or push"),
+        ("methods/ours/evaluate", ["--env={type: adamanip_safe, locked: false}"], "of no group"),
+        (f"scales/{SCALE}/evaluate", ["--env=type: adamanip_safe"], "of no group"),
+        ("methods/ours/evaluate", ["--env.fps=include mine.yaml"], "of no group, file"),
+        ("methods/ours/evaluate", ["--env.fps='include mine.yaml'"], "of no group, file"),
+        ("methods/ours/options", ["--policy.inference=!include mine.yaml"], "an option --policy.NAME=VALUE"),
         ("methods/ours/options", ["--policy.push_to_hub=true"], "an option --policy.NAME=VALUE"),
         ("methods/ours/steps", {"huge": 3}, "methods.ours.steps is 'huge'"),
         ("methods/ours/train_at", {"huge": []}, "methods.ours.train_at is 'huge'"),
@@ -126,6 +132,20 @@ def test_a_mistake_is_named(path: str, value: Any, message: str) -> None:
     with pytest.raises(ValueError) as error:  # noqa: PT011  (the text is what matters)
         parse_declaration(changed(path, value))
     assert message in str(error.value)
+
+
+def test_every_group_of_lerobots_options_is_refused_as_a_whole() -> None:
+    from draccus.wrappers import DataclassWrapper
+    from draccus.wrappers.wrapper import AggregateWrapper
+    from lerobot.configs.eval import EvalPipelineConfig
+    from lerobot.configs.train import TrainPipelineConfig
+
+    configurations = (DataclassWrapper(kind) for kind in (EvalPipelineConfig, TrainPipelineConfig))
+    children = [child for configuration in configurations for child in configuration._children]
+    assert {child.name for child in children if isinstance(child, AggregateWrapper)} == set(GROUPS)
+    for name in GROUPS:
+        with pytest.raises(ValueError, match="of no group"):
+            parse_declaration(changed("methods/ours/train", [f"--{name}={{}}"]))
 
 
 def test_every_shipped_declaration_can_be_read_and_no_scale_has_the_name_of_another() -> None:
