@@ -41,9 +41,9 @@ _ATTEMPTS = 25
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _LENGTH = 16
-_TYPE, _PREFIX = "--env.type", "adamanip_"
+ENV_TYPE, TYPE_PREFIX = "--env.type", "adamanip_"
 _EXPERT_OPTIONS = {
-    _TYPE: "--category",
+    ENV_TYPE: "--category",
     "--seed": "--seed",
     "--eval.n_episodes": "--episodes",
     **{
@@ -421,7 +421,7 @@ def _command(command: str, *options: str) -> list[str]:
 def _expert_command(expert: Iterable[str], evaluation: Iterable[str]) -> list[str]:
     """Returns the command that evaluates an expert as ``evaluation``, options of `lerobot-eval`, does a policy."""
     pairs = (option.partition("=") for option in evaluation)
-    options = {name: value.removeprefix(_PREFIX) for name, _, value in pairs if name in _EXPERT_OPTIONS}
+    options = {name: value.removeprefix(TYPE_PREFIX) for name, _, value in pairs if name in _EXPERT_OPTIONS}
     return ["adamanip", "expert", *expert, *(f"{_EXPERT_OPTIONS[name]}={value}" for name, value in options.items())]
 
 
@@ -431,7 +431,7 @@ def evaluation_options(command: str) -> dict[str, str]:
     if shlex.split(command)[:2] != ["adamanip", "expert"]:
         return options
     names = {name: options[own] for name, own in _EXPERT_OPTIONS.items() if own in options}
-    return {**names, _TYPE: f"{_PREFIX}{names[_TYPE]}"}
+    return {**names, ENV_TYPE: f"{TYPE_PREFIX}{names[ENV_TYPE]}"}
 
 
 def _step(

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from lerobot_adamanip.benchmark.command import Runner, begin_command, end_command
 from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.episodes import differing_episodes
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
@@ -50,7 +51,7 @@ from lerobot_adamanip.evaluation.results import (
     write_result,
 )
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import AdaManipError, DatasetError
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, DatasetError
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: result of other versions or other options. Begun: at least one step was started."""
@@ -292,6 +293,12 @@ class BenchmarkRun:
                 f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {count}, "
                 f"{scenes} scenes of simulation version {self.versions.simulation}."
             )
+        try:
+            wrong = differing_episodes(records, options)
+        except ConfigurationError as error:
+            raise StepError(str(error)) from error
+        if wrong:
+            raise StepError(f"The evaluation {step.key} has the wrong episodes: {wrong}.")
         return records
 
     def _result(self, cell: Cell, last: Step) -> ResultFile:

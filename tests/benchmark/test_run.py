@@ -352,6 +352,18 @@ def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> No
     assert (results(root), len(runner.called)) == (before, called + 1)
 
 
+def test_a_log_of_other_episodes_is_no_result(tmp_path: Path) -> None:
+    root, runner = tmp_path / "out", FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
+    before, called = results(root), len(runner.called)
+    result = root / "cells" / "untrained-safe-seen-1000.json"
+    log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
+    log.write_text(log.read_text().replace('"poses": "randomized"', '"poses": "fixed"'))
+    result.unlink()
+    assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
+    assert (results(root), len(runner.called)) == (before, called + 1), "it is evaluated again"
+
+
 # Programs ---------------------------------------------------------------------------------------------------------
 
 
