@@ -50,6 +50,12 @@ def test_a_method_can_be_like_one_above_it() -> None:
     assert found["again"] == replace(found["variant"], title="Again", demonstrations="static")
 
 
+def test_other_weights_need_a_line_that_says_what_they_learned_from() -> None:
+    methods = content()["methods"]
+    methods["ours"] |= {"options": ["--policy.path=me/pretrained"], "learns_from": "pretrained on pictures"}
+    assert declared(methods=methods).methods["ours"].learns_from
+
+
 def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
     assert {len(values) for values in SUCCESS.values()} == {len(PAPER_CATEGORIES)}
     means = {name: reported_mean(name, PAPER_CATEGORIES) or 0.0 for name in SUCCESS}
@@ -90,6 +96,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/theirs", {"title": "a", "like": "none"}, "methods.theirs.like is 'none'"),
         ("methods/theirs", {"title": "a", "like": "theirs"}, "methods.theirs.like is 'theirs'"),
         ("methods/theirs", {"like": "ours"}, "methods.theirs lacks title"),
+        ("methods", {"ours": 3, "theirs": {"title": "a", "like": "ours"}}, "methods.theirs.like is 'ours'"),
         ("methods/theirs", {"title": "a", "expert": ["--a=b"], "demonstrations": "static"}, "without demonstrations"),
         ("methods/ours/checkpoint", "act", "USER/NAME of a checkpoint"),
         ("methods/theirs", {"title": "a", "policy": "b", "checkpoint": "c/d", "train": ["--a=b"]}, "has a checkpoint"),
@@ -111,6 +118,17 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/ours/evaluate", ["--env.fps='include mine.yaml'"], "of no group, file"),
         ("methods/ours/options", ["--policy.inference=!include mine.yaml"], "an option --policy.NAME=VALUE"),
         ("methods/ours/options", ["--policy.push_to_hub=true"], "an option --policy.NAME=VALUE"),
+        ("methods/ours/options", ["--policy.type=act"], "an option --policy.NAME=VALUE"),
+        (
+            "methods/ours/options",
+            ["--policy.path=somebody/else"],
+            "methods.ours has --policy.path=somebody/else and no",
+        ),
+        ("methods/ours/options", ["--policy.pretrained_path=a/b"], "no learns_from"),
+        ("methods/ours/train", ["--dataset.root=mine/unseen"], "no learns_from"),
+        ("methods/ours/train_at", {SCALE: ["--dataset.repo_id=me/unseen"]}, "no learns_from"),
+        ("methods/ours/evaluate", ["--policy.pretrained_revision=v1"], "no learns_from"),
+        (f"scales/{SCALE}/evaluate", ["--policy.path=a/b"], f"scales.{SCALE}.evaluate has --policy.path=a/b"),
         ("methods/ours/steps", {"huge": 3}, "methods.ours.steps is 'huge'"),
         ("methods/ours/train_at", {"huge": []}, "methods.ours.train_at is 'huge'"),
         ("methods/ours/train_at", {"huge": ["steps"]}, "an option --NAME=VALUE"),
