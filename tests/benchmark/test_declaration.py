@@ -73,6 +73,13 @@ def test_every_row_of_the_papers_table_can_be_made_here() -> None:
     assert (packages, unavailable) == ({}, {}), "all are LeRobot's or ours"
 
 
+def test_options_that_a_policy_cannot_read_are_a_reason_and_no_traceback() -> None:
+    methods = declared().methods
+    broken = ("--policy.kl_weight={", "--policy.chunk_size=abc", "--policy.n_action_steps=500", "--policy.no_such=1")
+    given = {option: replace(methods["ours"], policy="act", options=(option,)) for option in broken}
+    assert set(find_policies(given)[1]) == set(broken)
+
+
 def changed(path: str, value: Any) -> dict[str, Any]:
     """The declaration with one value changed, ``None`` for left out."""
     made = content()
