@@ -240,7 +240,7 @@ def _costs(report: BenchmarkReport) -> str:
         at_least = "at least " * any(cost.begun > 1 for cost in several.values())  # only the last start is timed
         paid.append(f"{WORDS[kind]} {at_least}{duration_text(seconds[kind])} ({counted(len(several), 'time')})")
     machines = sorted({machine_text(cost.machine) for several in costs.values() for cost in several.values()})
-    commits = {f"{result.commit or 'none'}"[:10] + " with changes" * result.changed for result in report.results}
+    commits = {one[:10] + " with changes" * changed for result in report.results for one, changed in result.commits}
     installed = joined_versions(result.all_versions for result in report.results)
     versions = {
         "seeds of scenes": {"{} to {}".format(*result.seeds) for result in report.results},
