@@ -134,6 +134,32 @@ def test_a_script_checks_an_entry(
     assert "1 of 7 cells are missing" in capsys.readouterr().err
 
 
+def test_an_evaluation_again_is_compared_in_every_measured_number(
+    enter: MakeEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "check_entry.py"))
+    folder, out = enter("mine", 30), tmp_path / "again"
+    monkeypatch.setattr("sys.argv", ["check_entry.py", str(folder), "--evaluate", "--out", str(out)])
+    called: list[str] = []
+
+    def evaluate(command: list[str], **_: Any) -> None:
+        called.append(command[0])
+        scale = command[command.index("--scale") + 1]
+        shutil.copytree(folder / scale, out / scale / "cells")
+        if scale == "row":
+            path = next((out / scale / "cells").glob("*.json"))
+            row = read_result(path).rows[0]
+            metrics = dataclasses.replace(row.metrics, repeated=rate(8, 8), untried={1: rate(0, 8)})
+            edit(path, lambda one: dataclasses.replace(one, rows=(dataclasses.replace(row, metrics=metrics),)))
+
+    monkeypatch.setattr("subprocess.run", evaluate)
+    monkeypatch.setenv("PATH", "")
+    assert script["main"]() == 1
+    assert all(Path(program).is_absolute() for program in called), "of this installation, whatever PATH is"
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.rpartition(" | ")[2] for line in lines if not line.endswith(" | ")] == ["repeated, untried"]
+
+
 def test_an_entry_has_every_cell_of_declared_scenes(enter: MakeEntry) -> None:
     folder = enter("mine", 30)
     cell = next((folder / "row").glob("*.json"))
