@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
-from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
+from lerobot_adamanip.benchmark.plan import CHOSEN, TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
@@ -17,12 +17,6 @@ from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
 KEY_FRAME_BUDGETS = (10, 15, 25)
 """Numbers of key frames, for the columns of success within them in the CSV file."""
-_CHOSEN = (
-    "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
-    "memory", "self_calibration",
-)  # fmt: skip
-CHOSEN = tuple(f"--env.{start}" for start in _CHOSEN)
-"""Starts of the options of an environment that a method may choose: they do not change its scenes."""
 EARLIER, OTHER_OPTIONS = "†", "‡"
 MARKS = {
     EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
