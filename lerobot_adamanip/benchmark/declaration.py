@@ -60,12 +60,9 @@ GROUPS = (
 _REFUSED = rf"(?:output_dir|config_path|policy\.type|{'|'.join(GROUPS)})=|[\w.]*(?:discover_packages_path|_to_hub)="
 _ALLOWED = rf"--(?!{_REFUSED})"
 """Start of an option that sets no group or type, chooses no folder, imports no package and publishes nothing."""
-_FOREIGN = tuple(
-    f"--{name}="
-    for name in (
-        "policy.path", "policy.pretrained_path", "policy.pretrained_revision", "dataset.root", "dataset.repo_id",
-        "dataset.revision", "reward_model.path",
-    )
+_FOREIGN = (
+    "--policy.path=", "--policy.pretrained_path=", "--policy.pretrained_revision=", "--dataset.root=",
+    "--dataset.repo_id=", "--dataset.revision=", "--reward_model.path=",
 )  # fmt: skip
 """Starts of the options that replace the weights or the data of the benchmark's own steps."""
 _VALUE = r"=(?!\W*include|.*!include)[^\r\n`]{0,400}"  # LeRobot would read the value from the included file
