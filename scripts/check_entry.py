@@ -12,6 +12,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+from lerobot_adamanip.benchmark.command import find_program
 from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, read_entry
 from lerobot_adamanip.benchmark.report import opened, within
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
@@ -35,6 +36,7 @@ def main() -> int:
                 allowed="a folder that does not exist",
                 hint="another --out",
             )
+        program = find_program("adamanip") if options.evaluate else ""
     except AdaManipError as error:
         sys.stderr.write(f"{error}\n")
         return 2
@@ -43,25 +45,33 @@ def main() -> int:
         cells = entry.results[scale]
         if options.evaluate:
             name = next(iter(cells)).method
-            command = ["adamanip", "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
+            command = [program, "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
             # Status 1: a cell failed. The others can be compared.
             subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=False, stdout=sys.stderr)
         for cell, published in cells.items():
             line = {"scale": scale, "cell": cell.name, "published": _text(published)}
             if options.evaluate:
                 path = options.out / scale / "cells" / f"{cell.name}.json"
-                line["again"] = _text(read_result(path)) if path.exists() else "failed"
+                again = read_result(path) if path.exists() else None
+                line["again"] = _text(again) if again else "failed"
+                line["differs in"] = _differing(published, again) if again else "everything"
             lines.append(line)
     sys.stdout.write(
         json.dumps(lines) + "\n" if options.json else "".join(f"{' | '.join(each.values())}\n" for each in lines)
     )
-    return int(any(line.get("again", line["published"]) != line["published"] for line in lines))
+    return int(any(line.get("differs in") for line in lines))
 
 
 def _text(result: ResultFile) -> str:
     metrics = result.rows[0].metrics
     counts = [share.count if share else "-" for share in (opened(metrics), within(metrics))]
     return f"opened {counts[0]}, within {counts[1]} of {metrics.success.episodes}"
+
+
+def _differing(published: ResultFile, again: ResultFile) -> str:
+    """Returns the measured fields in which two results of a cell differ; empty if they agree."""
+    rows = [one.rows[0].to_json() for one in (published, again)]
+    return ", ".join(name for name, value in rows[0].items() if value != rows[1][name])
 
 
 if __name__ == "__main__":

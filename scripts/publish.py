@@ -42,13 +42,39 @@ def result_paths(root: Path, method: str, category: str, seed: int) -> tuple[Pat
     return tuple(path for path in paths if path.exists())
 
 
+def run_of(paths: Sequence[Path]) -> CellRun:
+    """Returns the run behind results of one training; raises `DatasetError` if they are of several, or of none."""
+    runs = {}
+    for path in paths:
+        result = read_result(path)
+        names = [name for name, _ in result.run.options_of(TRAIN)] if result.run else []
+        if result.run is None or not names:
+            raise DatasetError(
+                "A result of no training.",
+                got=path,
+                allowed="results of a trained method",
+                hint="--method dp3_adaptive",
+            )
+        runs.setdefault(
+            (result.run.steps[names[-1]].key, result.simulation_version, result.run.data_version), result.run
+        )
+    if len(runs) > 1:
+        kinds = (f"{key} (simulation version {one}, data version {other})" for key, one, other in runs)
+        raise DatasetError(
+            "The results of a checkpoint are of several trainings or versions.",
+            got=f"{', '.join(path.name for path in paths)}: {'; '.join(kinds)}",
+            allowed="results of one training, simulation version and data version",
+            hint="run adamanip benchmark again, which replaces stale results",
+        )
+    return next(iter(runs.values()))
+
+
 def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
     """Yields the publications: dataset and checkpoint of each category, then the environments."""
     shared = {"private": options.private, "dry_run": options.dry_run}
     for category in options.categories:
         results = result_paths(options.benchmark, options.method, category, options.seed)
-        run = read_result(results[0]).run
-        assert run is not None  # files in `cells` are a benchmark's
+        run = run_of(results)
         data = _folder(options.benchmark, run, MERGE if MERGE in run.steps else COLLECT)
         training = _folder(options.benchmark, run, TRAIN)
         dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in ("adamanip", options.name))

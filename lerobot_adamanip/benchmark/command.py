@@ -45,7 +45,7 @@ def begin_command(
         ConfigurationError: the program does not exist.
     """
     limit = {"OMP_NUM_THREADS": str(threads)} if threads else {}
-    line = [_find_program(command[0]), *command[1:]]
+    line = [find_program(command[0]), *command[1:]]
     with log.open("ab") as output:
         return subprocess.Popen(
             line,
@@ -69,8 +69,12 @@ def end_command(process: subprocess.Popen[bytes]) -> None:
             process.wait()
 
 
-def _find_program(name: str) -> str:
-    """Returns the path of a program; prefers this Python's installation over PATH."""
+def find_program(name: str) -> str:
+    """Returns the path of a program; prefers this Python's installation over PATH.
+
+    Raises:
+        ConfigurationError: the program does not exist.
+    """
     beside = str(Path(sys.executable).parent)
     executable = shutil.which(name, path=os.pathsep.join((beside, os.environ.get("PATH", os.defpath))))
     if executable is None:

@@ -5,6 +5,7 @@ Installed packages can add methods to it, by an entry point.
 
 from __future__ import annotations
 
+import itertools
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -51,11 +52,22 @@ _COUNT = integer(1, 10**8)
 _OBJECTS = text(r"[\w:,]{1,400}", "objects, in the form of `adamanip collect --objects`")
 _CATEGORIES = listing(choice(tuple(CATEGORIES)), 1, len(CATEGORIES))
 _SPLITS = listing(choice(OBJECT_SPLITS), 1, len(OBJECT_SPLITS))
-_ALLOWED = r"--(?!output_dir=|config_path=|[\w.]*(?:discover_packages_path|push_to_hub)=)"
-"""Start of an option that chooses no folder, imports no package and publishes nothing."""
-_VALUE = r"=[^\r\n`]{0,400}"
+GROUPS = (
+    "dataset", "env", "eval", "job", "optimizer", "peft", "policy", "reward_model", "sample_weighting", "scheduler",
+    "wandb",
+)  # fmt: skip
+"""LeRobot's groups of options. The value of a whole group, ``--env={...}``, would override all of ``--env.NAME``."""
+_REFUSED = rf"(?:output_dir|config_path|policy\.type|{'|'.join(GROUPS)})=|[\w.]*(?:discover_packages_path|_to_hub)="
+_ALLOWED = rf"--(?!{_REFUSED})"
+"""Start of an option that sets no group or type, chooses no folder, imports no package and publishes nothing."""
+_FOREIGN = (
+    "--policy.path=", "--policy.pretrained_path=", "--policy.pretrained_revision=", "--dataset.root=",
+    "--dataset.repo_id=", "--dataset.revision=", "--reward_model.path=",
+)  # fmt: skip
+"""Starts of the options that replace the weights or the data of the benchmark's own steps."""
+_VALUE = r"=(?!\W*include|.*!include)[^\r\n`]{0,400}"  # LeRobot would read the value from the included file
 _OPTIONS = listing(
-    text(rf"{_ALLOWED}[a-z][\w.-]*{_VALUE}", "an option --NAME=VALUE of no folder, package or push"), 0, 60
+    text(rf"{_ALLOWED}[a-z][\w.-]*{_VALUE}", "an option --NAME=VALUE of no group, file, folder, package or push"), 0, 60
 )
 _POLICY_OPTIONS = listing(text(rf"{_ALLOWED}policy\.[a-z][\w.]*{_VALUE}", "an option --policy.NAME=VALUE"), 0, 60)
 
@@ -281,6 +293,8 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
             raise ValueError(f"scales.{name} has held_out, but methods.{own[0]} has no data_of: it sees every category")
         if 0 in scale.seeds[1:]:
             raise ValueError(f"scales.{name}.seeds has 0 after the first, whose demonstrations are those of seed 0 too")
+        if foreign := [one for one in scale.evaluate if one.startswith(_FOREIGN)]:
+            raise ValueError(f"scales.{name}.evaluate has {foreign[0]}, the weights or data of a method")
         if scale.shown and not scale.held_out:
             raise ValueError(f"scales.{name}.shown needs held_out")
     for effect in declaration.effects:
@@ -295,7 +309,8 @@ def _with_defaults(methods: Mapping[str, Any]) -> dict[str, Any]:
     for name, own in methods.items():
         merged[name] = own
         if isinstance(own, Mapping) and "like" in own:
-            _require(f"methods.{name}.like", own["like"], [other for other in merged if other != name])
+            tables = [other for other, one in merged.items() if isinstance(one, Mapping)]
+            _require(f"methods.{name}.like", own["like"], [other for other in tables if other != name])
             fields = {**merged[own["like"]], "paper": "", **own}
             left_out = {"like"} if "title" in own else {"like", "title"}
             merged[name] = {key: value for key, value in fields.items() if key not in left_out}
@@ -312,6 +327,9 @@ def _check_method(declaration: Declaration, name: str, method: Method) -> None:
         raise ValueError(f"methods.{name} has a checkpoint, which is not trained, and {unused[0]}; evaluate is allowed")
     if bool(method.checkpoint) != bool(method.revision):
         raise ValueError(f"methods.{name} needs both checkpoint and revision, or none of them")
+    options = (*method.options, *method.train, *method.evaluate, *itertools.chain(*method.train_at.values()))
+    if (foreign := [one for one in options if one.startswith(_FOREIGN)]) and not method.learns_from:
+        raise ValueError(f"methods.{name} has {foreign[0]} and no learns_from that says what these weights or data are")
     if method.rounds and not method.demonstrations:
         raise ValueError(f"methods.{name}.rounds need demonstrations, and the method has none")
     with_data = [other for other, one in declaration.methods.items() if one.demonstrations]

@@ -11,7 +11,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.plan import EPISODE_LOG, FOLDERS, TRAIN, Cell, Step, last_checkpoint
-from lerobot_adamanip.evaluation.results import EVALUATE, StepCost
+from lerobot_adamanip.evaluation.provenance import Origin
+from lerobot_adamanip.evaluation.results import EVALUATE, NO_COMMIT, StepCost
 from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -52,13 +53,19 @@ class BenchmarkFolder:
         """Records that a step's command is about to start."""
         self._write(step, {"begun": self._begun(step) + 1})
 
-    def finish(
-        self, step: Step, seconds: float, machine: Mapping[str, int | bool], versions: Mapping[str, str]
-    ) -> None:
+    def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool], origin: Origin) -> None:
         """Records that a step's command has succeeded."""
         if step.kind == EVALUATE:
             files.sync(self.product(step) / EPISODE_LOG)  # a power cut must not take lines that the record relies on
-        self._write(step, asdict(StepCost(max(1, self._begun(step)), round(seconds, 1), machine, versions)))
+        cost = StepCost(
+            max(1, self._begun(step)),
+            round(seconds, 1),
+            machine,
+            origin.versions,
+            origin.commit or NO_COMMIT,
+            origin.changed,
+        )
+        self._write(step, asdict(cost))
 
     def reopen(self, step: Step) -> None:
         """Records that a finished step has to run again."""

@@ -2,17 +2,38 @@
 
 from __future__ import annotations
 
+import re
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, Method, read_declaration
-from lerobot_adamanip.benchmark.plan import Cell, KeyVersions, all_cells, cell_of, evaluation_options, options_key, plan
+from lerobot_adamanip.benchmark.plan import (
+    COLLECT,
+    Cell,
+    KeyVersions,
+    Step,
+    all_cells,
+    cell_of,
+    evaluation_options,
+    named_steps,
+    options_key,
+    plan,
+)
 from lerobot_adamanip.benchmark.report import scene_options, within
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
-from lerobot_adamanip.evaluation.results import ResultFile, read_results
+from lerobot_adamanip.evaluation.paired import MAX_COUNTED_TRIES
+from lerobot_adamanip.evaluation.results import (
+    EVALUATE,
+    NO_COMMIT,
+    CellRun,
+    ResultFile,
+    ResultRow,
+    StepDone,
+    read_results,
+)
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -134,21 +155,72 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
                 yield f"{scale}, {cell.name}: {problem}"
     if len(versions := {str(one.simulation_version) for each in results.values() for one in each}) > 1:
         yield f"simulation versions {' and '.join(sorted(versions))}"
+    if len(versions := {str(one.run.data_version) for each in results.values() for one in each if one.run}) > 1:
+        yield f"data versions {' and '.join(sorted(versions))}"
 
 
 def _problems_of(
     result: ResultFile, cell: Cell, declaration: Declaration, scale: str, given: frozenset[tuple[str, str]]
 ) -> Iterator[str]:
-    """Yields what a result lacks; ``given`` are the scenes of all entries."""
-    if result.commit is None or result.changed:
+    """Yields what a result lacks, or where it contradicts itself; ``given`` are the scenes of all entries."""
+    if any(changed or commit == NO_COMMIT for commit, changed in result.commits):
         yield "made from a commit with changes, or from none"
-    if result.run and result.run.options != options_key(cell, declaration, scale):
+    run, row = result.run, result.rows[0]
+    if run is None or run.options != options_key(cell, declaration, scale):
         yield "made with other options than declared"
-    wished, episodes = scenes(cell, declaration, scale), result.rows[0].metrics.success.episodes
-    if (result.scenes, str(episodes)) != tuple(dict(wished)[name] for name in ("--env.split", "--eval.n_episodes")):
+        return
+    whole = plan(cell, declaration, scale, KeyVersions(result.simulation_version, run.data_version))
+    options = evaluation_options(shlex.join(whole.command))
+    first, episodes = int(options["--seed"]), row.metrics.success.episodes
+    if run.scale != scale or result.command != run.steps[EVALUATE].command or not _has_steps_of(run, whole):
+        yield "scale, command or steps are not those of its declaration"
+    if result.seeds != (seeds := (first, first + int(options["--eval.n_episodes"]) - 1)):
+        yield "seeds {} to {}, not {} to {}".format(*result.seeds, *seeds)
+    if row.mechanism_rules != options["--env.mechanism_rules"]:
+        yield f"rules {row.mechanism_rules}, not {options['--env.mechanism_rules']}"
+    wished = scenes(cell, declaration, scale)
+    if (result.scenes, str(episodes)) != (options["--env.split"], options["--eval.n_episodes"]):
         yield f"{episodes} episodes of {result.scenes} scenes"
     if wished != given:
         yield f"evaluated in other scenes ({', '.join(sorted({name for name, _ in wished ^ given}))})"
+    if not (row.scene_outcomes and row.scene_tries):
+        yield "without the outcome and the failed tries of each scene"
+    elif not _has_possible_tries(row):
+        yield "repeated and untried are not of its scenes' failed tries"
+
+
+def _has_steps_of(run: CellRun, whole: Step) -> bool:
+    """Returns whether a run has the steps of a plan.
+
+    Keys are compared by their steps' names: those of a policy hold its package's version, which may not be installed.
+    """
+    planned = named_steps(whole)
+    if list(run.steps) != list(planned):
+        return False
+    for name, step in planned.items():
+        words = _with_names(shlex.split(run.steps[name].command), run.steps)
+        declared = _with_names(step.command, planned)
+        others = {word.partition("=")[0] for word in words[len(declared) :]}
+        if words[: len(declared)] != declared or others - {word.partition("=")[0] for word in step.non_key_options}:
+            return False
+        if step.kind == COLLECT and run.steps[name].key != step.key:
+            return False
+    return True
+
+
+def _with_names(words: Iterable[str], steps: Mapping[str, Step] | Mapping[str, StepDone]) -> list[str]:
+    """Returns the words of a command with each step's key replaced by its name."""
+    keys = re.compile("|".join(re.escape(step.key) for step in steps.values()))
+    names = {step.key: name for name, step in steps.items()}
+    return [keys.sub(lambda match: f"<{names[match[0]]}>", word) for word in words]
+
+
+def _has_possible_tries(row: ResultRow) -> bool:
+    """Returns whether the tries after failed ones are as many in both metrics, and at most the failed tries."""
+    decisions = row.metrics.repeated.episodes if row.metrics.repeated else 0
+    by_count = sum(share.episodes for share in (row.metrics.untried or {}).values())
+    is_capped = str(MAX_COUNTED_TRIES) in row.scene_tries
+    return decisions == by_count and (is_capped or decisions <= sum(map(int, row.scene_tries)))
 
 
 def scenes(cell: Cell, declaration: Declaration, scale: str) -> frozenset[tuple[str, str]]:

@@ -20,7 +20,7 @@ from lerobot_adamanip.catalog import parse_object_selection
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.versions import DATA, DATA_VERSION, SIMULATION, SIMULATION_VERSION
 from lerobot_adamanip.evaluation.results import EVALUATE, LOGGED, ResultFile, check_command, command_options
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, nearest, require_choice
 
 COLLECT, CORRECT, MERGE, TRAIN = "collect", "correct", "merge", "train"
 FOLDERS: Mapping[str, str] = {
@@ -41,9 +41,9 @@ _ATTEMPTS = 25
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _LENGTH = 16
-_TYPE, _PREFIX = "--env.type", "adamanip_"
+ENV_TYPE, TYPE_PREFIX = "--env.type", "adamanip_"
 _EXPERT_OPTIONS = {
-    _TYPE: "--category",
+    ENV_TYPE: "--category",
     "--seed": "--seed",
     "--eval.n_episodes": "--episodes",
     **{
@@ -55,6 +55,17 @@ _EXPERT_OPTIONS = {
     },
 }  # fmt: skip
 """Option of `lerobot-eval` -> option of `adamanip expert`, which has no others of an environment."""
+_CHOSEN = (
+    "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
+    "memory", "self_calibration",
+)  # fmt: skip
+CHOSEN = tuple(f"--env.{start}" for start in _CHOSEN)
+"""Starts of the options of an environment that a method may choose: they do not change its scenes."""
+_NOT_OF_EXPERTS = (
+    *CHOSEN, "--policy.", "--eval.batch_size", "--eval.use_async_envs", "--env.render_backend", "--env.run_label",
+    "--output_dir",
+)  # fmt: skip
+"""Starts of the options of `lerobot-eval` that do not change an expert's episodes: observations, device, batches."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -419,10 +430,25 @@ def _command(command: str, *options: str) -> list[str]:
 
 
 def _expert_command(expert: Iterable[str], evaluation: Iterable[str]) -> list[str]:
-    """Returns the command that evaluates an expert as ``evaluation``, options of `lerobot-eval`, does a policy."""
-    pairs = (option.partition("=") for option in evaluation)
-    options = {name: value.removeprefix(_PREFIX) for name, _, value in pairs if name in _EXPERT_OPTIONS}
-    return ["adamanip", "expert", *expert, *(f"{_EXPERT_OPTIONS[name]}={value}" for name, value in options.items())]
+    """Returns the command that evaluates an expert as ``evaluation``, options of `lerobot-eval`, does a policy.
+
+    Raises:
+        ConfigurationError: an option decides episodes, and `adamanip expert` does not have it.
+    """
+    words = ["adamanip", "expert", *expert]
+    for option in evaluation:
+        name, _, value = option.partition("=")
+        if name in _EXPERT_OPTIONS:
+            words.append(f"{_EXPERT_OPTIONS[name]}={value.removeprefix(TYPE_PREFIX)}")
+        elif not name.startswith(_NOT_OF_EXPERTS):
+            known = [other for other in _EXPERT_OPTIONS if other.startswith("--env.")]
+            raise ConfigurationError(
+                "An option of an evaluation is none of `adamanip expert`.",
+                got=option,
+                allowed="the options of `adamanip expert --help`, by their names in lerobot-eval",
+                hint=nearest(name, known) or "evaluate of the policies' methods instead of the scale's",
+            )
+    return words
 
 
 def evaluation_options(command: str) -> dict[str, str]:
@@ -431,7 +457,7 @@ def evaluation_options(command: str) -> dict[str, str]:
     if shlex.split(command)[:2] != ["adamanip", "expert"]:
         return options
     names = {name: options[own] for name, own in _EXPERT_OPTIONS.items() if own in options}
-    return {**names, _TYPE: f"{_PREFIX}{names[_TYPE]}"}
+    return {**names, ENV_TYPE: f"{TYPE_PREFIX}{names[ENV_TYPE]}"}
 
 
 def _step(

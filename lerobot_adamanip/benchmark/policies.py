@@ -66,7 +66,7 @@ def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
         return said.getvalue().strip().rpartition("error: ")[2]
     except AdaManipError as error:
         return " ".join(str(error).split())
-    except draccus.utils.DraccusException as error:
+    except Exception as error:  # of draccus, of YAML, or of a configuration of another package
         return " ".join(str(error.__cause__ or error).split())
     finally:
         logging.disable(before)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, S
 from dataclasses import dataclass, replace
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
-from lerobot_adamanip.benchmark.plan import TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
+from lerobot_adamanip.benchmark.plan import CHOSEN, TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
@@ -17,12 +17,6 @@ from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
 KEY_FRAME_BUDGETS = (10, 15, 25)
 """Numbers of key frames, for the columns of success within them in the CSV file."""
-_CHOSEN = (
-    "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
-    "memory", "self_calibration",
-)  # fmt: skip
-CHOSEN = tuple(f"--env.{start}" for start in _CHOSEN)
-"""Starts of the options of an environment that a method may choose: they do not change its scenes."""
 EARLIER, OTHER_OPTIONS = "†", "‡"
 MARKS = {
     EARLIER: "of an earlier simulation or data version than the others; not to be compared with them",
@@ -212,7 +206,10 @@ def _repeats(result: ResultFile) -> int:
 def scene_options(command: str) -> frozenset[tuple[str, str]]:
     """Returns the options of an evaluation's environment, name and value, that decide its scenes."""
     options = {"--env.sensing": EXACT, **evaluation_options(command)}.items()
-    return frozenset(pair for pair in options if pair[0].startswith("--env.") and not pair[0].startswith(CHOSEN))
+    # `--env=...` replaces the whole environment, so it decides its scenes too.
+    return frozenset(
+        pair for pair in options if pair[0].partition(".")[0] == "--env" and not pair[0].startswith(CHOSEN)
+    )
 
 
 def make_report(

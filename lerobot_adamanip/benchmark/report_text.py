@@ -61,8 +61,14 @@ def summary(report: BenchmarkReport) -> str:
     for name in report.methods:
         means = [(report.mean(name, objects), report.mean(name, objects, within)) for objects in report.splits]
         if means[0][0] is not None:
-            cells = ["-" if one is None else f"{percent_text(one)}, {percent_text(other)}" for one, other in means]
-            rows.append([report.titles[name], *cells, report.trainings(name, report.splits[0])])
+            marks = [_marks(report.of(name, objects)) for objects in report.splits]
+            cells = [
+                "-" if one is None else f"{percent_text(one)}, {percent_text(other)} {mark}".strip()
+                for (one, other), mark in zip(means, marks, strict=True)
+            ]
+            trainings = [report.trainings(name, objects) or "-" for objects in report.splits]
+            numbers = sorted({*trainings} - {"-"})
+            rows.append([report.titles[name], *cells, ", ".join(trainings if len(numbers) > 1 else numbers)])
     if not rows:
         return ""
     titles = ["method", *(f"{objects} objects: opened, within" for objects in report.splits), "trainings"]
@@ -71,7 +77,18 @@ def summary(report: BenchmarkReport) -> str:
         f"Means over {len(report.categories)} categories, {number} of each, {report.scenes} scenes. A category's "
         f"number is over all its trainings, which see the same scenes. *Within*: {_WITHIN_TITLE}."
     )
-    return f"{markdown_table(titles, rows)}\n\n{explanation}"
+    return "\n\n".join(filter(None, (markdown_table(titles, rows), explanation, _meanings(report))))
+
+
+def _marks(entries: Iterable[Entry]) -> str:
+    """Returns the marks of entries, each once."""
+    shown = "".join(entry.marks for entry in entries)
+    return "".join(mark for mark in MARKS if mark in shown)
+
+
+def _meanings(report: BenchmarkReport) -> str:
+    """Returns what the marks of a report mean; empty without any."""
+    return "; ".join(f"{mark}: {MARKS[mark]}" for mark in _marks(report.entries.values()))
 
 
 def _extent(report: BenchmarkReport) -> str:
@@ -79,9 +96,8 @@ def _extent(report: BenchmarkReport) -> str:
     versions = sorted({str(result.simulation_version) for result in report.results})
     where = f" on {report.scenes} scenes, simulation version {' and '.join(versions)}" if report.results else ""
     lines = [" ".join(filter(None, (report.note, f"{counted(len(report.results), 'result')}{where}.")))]
-    shown = "".join(entry.marks for entry in report.entries.values())
-    if marks := [f"{mark}: {meaning}" for mark, meaning in MARKS.items() if mark in shown]:
-        lines.append(f"{'; '.join(marks)}.")
+    if meanings := _meanings(report):
+        lines.append(f"{meanings}.")
     if len({(result.simulation_version, result.scenes) for result in report.results}) > 1:
         lines.append("Note: several simulation versions or splits of scenes; do not compare numbers of different ones.")
     if mixed := mixed_versions(result.all_versions for result in report.results):
@@ -104,7 +120,7 @@ def means_table(report: BenchmarkReport) -> str:
         if not (entries := report.of(name, objects)):
             continue
         metrics = [entry.metrics for entry in entries]
-        marks = "".join(mark for mark in MARKS if any(mark in entry.marks for entry in entries))
+        marks = _marks(entries)
         is_whole = len(entries) == len(report.categories)
         wasted = _known_mean(one.wasted_tries.value for one in metrics if one.wasted_tries and is_whole)
         repeated = _known_mean(one.repeated.rate for one in metrics if one.repeated and is_whole)
@@ -168,7 +184,9 @@ def differences_table(report: BenchmarkReport) -> str:
         gaps = [report.paired(methods, shared, objects, outcome) for outcome in (OPENED, WITHIN_TRIES)]
         if all(gaps):
             where = "all" if len(shared) == len(report.categories) else ", ".join(map(words, shared))
-            rows.append([effect.title, f"{where}, {objects}", *(_difference(gap) for gap in gaps if gap)])
+            marks = _marks(report.entries[name, one, objects] for name in methods for one in shared)
+            opened, within_tries = (_difference(gap) for gap in gaps if gap)
+            rows.append([effect.title, f"{where}, {objects}", f"{opened} {marks}".strip(), within_tries])
     return markdown_table(["difference", "categories, objects", "opened", "within"], rows) if rows else ""
 
 
@@ -240,7 +258,7 @@ def _costs(report: BenchmarkReport) -> str:
         at_least = "at least " * any(cost.begun > 1 for cost in several.values())  # only the last start is timed
         paid.append(f"{WORDS[kind]} {at_least}{duration_text(seconds[kind])} ({counted(len(several), 'time')})")
     machines = sorted({machine_text(cost.machine) for several in costs.values() for cost in several.values()})
-    commits = {f"{result.commit or 'none'}"[:10] + " with changes" * result.changed for result in report.results}
+    commits = {one[:10] + " with changes" * changed for result in report.results for one, changed in result.commits}
     installed = joined_versions(result.all_versions for result in report.results)
     versions = {
         "seeds of scenes": {"{} to {}".format(*result.seeds) for result in report.results},

@@ -11,11 +11,12 @@ import shlex
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.command import Runner, begin_command, end_command
 from lerobot_adamanip.benchmark.declaration import Declaration
+from lerobot_adamanip.benchmark.episodes import differing_episodes
 from lerobot_adamanip.benchmark.folder import BenchmarkFolder
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
@@ -40,9 +41,11 @@ from lerobot_adamanip.evaluation.record import EpisodeRecord, first_episodes, re
 from lerobot_adamanip.evaluation.results import (
     EVALUATE,
     LOGGED,
+    NO_COMMIT,
     CellRun,
     ResultFile,
     ResultRow,
+    StepCost,
     StepDone,
     TrainingLog,
     command_options,
@@ -50,7 +53,7 @@ from lerobot_adamanip.evaluation.results import (
     write_result,
 )
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import AdaManipError, DatasetError
+from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, DatasetError
 
 DONE, STALE, BEGUN, MISSING, UNAVAILABLE, FAILED = "done", "stale", "begun", "missing", "unavailable", "failed"
 """States of a cell. Stale: result of other versions or other options. Begun: at least one step was started."""
@@ -250,7 +253,7 @@ class BenchmarkRun:
             self._failed[step.key] = str(error)
             return
         machine = {**self.machine, "cores": self._cores_of_a_job}
-        self.folder.finish(step, time.perf_counter() - begin, machine, self.origin.versions)
+        self.folder.finish(step, time.perf_counter() - begin, machine, self.origin)
 
     @property
     def _cores_of_a_job(self) -> int:
@@ -292,7 +295,19 @@ class BenchmarkRun:
                 f"The evaluation {step.key} has the wrong episodes: {len(records)} episodes, {got}; not {count}, "
                 f"{scenes} scenes of simulation version {self.versions.simulation}."
             )
+        try:
+            wrong = differing_episodes(records, options)
+        except ConfigurationError as error:
+            raise StepError(str(error)) from error
+        if wrong:
+            raise StepError(f"The evaluation {step.key} has the wrong episodes: {wrong}.")
         return records
+
+    def _origin(self, costs: Mapping[str, StepCost]) -> Origin:
+        """Returns the origin of a result: the commit of its evaluation, and whether any step had changes."""
+        is_changed = self.origin.changed or any(cost.changed for cost in costs.values())
+        commit = costs[EVALUATE].commit or self.origin.commit  # former steps hold none
+        return replace(self.origin, commit=None if commit == NO_COMMIT else commit, changed=is_changed)
 
     def _result(self, cell: Cell, last: Step) -> ResultFile:
         method, records, steps = self.declaration.methods[cell.method], self._records(last), named_steps(last)
@@ -303,7 +318,7 @@ class BenchmarkRun:
         commands = {name: shlex.join((*step.command, *step.non_key_options)) for name, step in steps.items()}
         rules = evaluation_options(commands[EVALUATE])["--env.mechanism_rules"]
         return ResultFile(
-            **vars(self.origin),
+            **vars(self._origin(costs)),
             kind="expert" if method.expert else "policy",
             title=f"benchmark, scale {self.scale}, training seed {cell.seed}",
             command=commands[EVALUATE],

@@ -165,6 +165,17 @@ def main(argv: Sequence[str] | None = None) -> int:
         # The reader, e.g. `head`, has closed the pipe. Python must not raise again at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return EXIT_ERROR
+    except OSError as error:
+        if error.filename is None:
+            raise  # of no file that a user has named: the traceback helps
+        refusal = ConfigurationError(
+            "A file or folder cannot be used.",
+            got=f"{error.filename}: {error.strerror}",
+            allowed="a path that can be read or written, as the command needs",
+            hint="another path",
+        )
+        print(f"error: {refusal}", file=sys.stderr)
+        return EXIT_ERROR
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)
         return EXIT_INTERRUPTED

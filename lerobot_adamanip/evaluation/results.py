@@ -34,6 +34,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 from lerobot_adamanip.util.files import write_atomically
 from lerobot_adamanip.util.json_fields import (
     choice,
+    flag,
     integer,
     listing,
     mapping,
@@ -49,6 +50,7 @@ KINDS = ("expert", "policy")
 EVALUATE = "evaluate"
 """Name of a benchmark's last step."""
 NAME = text(r"[a-z][a-z0-9_]{0,39}", "a name of small letters, digits and _")
+NO_COMMIT = "none"
 LOGGED = 20
 """Number of values of the loss in a training's log."""
 _LATEST = LOGGED // 5
@@ -138,12 +140,16 @@ class StepCost:
         seconds: duration of the last run.
         machine: see `machine_class`.
         versions: installed versions at its end; empty in results before simulation version 3.
+        commit: commit at its end; `NO_COMMIT` outside a repository, empty in results that do not hold it.
+        changed: whether tracked files differed from that commit.
     """
 
     begun: Annotated[int, integer(1, 10**6)]
     seconds: Annotated[float, number(0, 10**9)]
     machine: Annotated[Mapping[str, int | bool], MACHINE]
     versions: Annotated[Mapping[str, str], mapping(LINE, LINE, 30)] = field(default_factory=dict)
+    commit: Annotated[str, text(rf"|{NO_COMMIT}|[0-9a-f]{{8,64}}", "a hash, none, or an empty text")] = ""
+    changed: Annotated[bool, flag] = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -235,6 +241,12 @@ class ResultFile(Origin):
         """Installed versions of all steps, by name; different ones are joined by ``and``."""
         costs = self.run.costs.values() if self.run else ()
         return joined_versions([self.versions, *(cost.versions for cost in costs)])
+
+    @property
+    def commits(self) -> set[tuple[str, bool]]:
+        """Commits of the result and of its steps, each with whether tracked files differed from it."""
+        steps = {(cost.commit, cost.changed) for cost in (self.run.costs.values() if self.run else ()) if cost.commit}
+        return {(self.commit or NO_COMMIT, self.changed), *steps}
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-serialisable dictionary."""

@@ -145,8 +145,9 @@ def evaluate(options: dict[str, str], templates: dict[str, list[dict[str, Any]]]
         moment()
         seed, drawn = int(options["--seed"]) + number, int(digest(weights, objects, number), 16)
         record = templates[category][drawn % len(templates[category])]
-        where = (f"{category}_900", "unseen") if objects == "unseen" else (f"{category}_000", "seen")
+        where = (f"{category}_050", "unseen") if objects == "unseen" else (f"{category}_000", "seen")
         changed = {"seed": seed, "given_seed": seed, "object_id": where[0], "object_split": where[1], "run_id": run_id}
+        changed |= {name: options[f"--env.{name}"] for name in ("poses", "sensing") if f"--env.{name}" in options}
         key_frames = record["key_frames"] + drawn // 7 % 5
         with log.open("a") as file:
             file.write(json.dumps(record | changed | {"key_frames": key_frames}) + "\n")

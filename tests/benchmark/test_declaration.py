@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from benchmark_helpers import SCALE, content, declared
 
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import GROUPS, PAPER_TABLE, parse_declaration, read_declaration
 from lerobot_adamanip.benchmark.paper_rates import PAPER_CATEGORIES, SUCCESS, reported, reported_mean
 from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -50,6 +50,12 @@ def test_a_method_can_be_like_one_above_it() -> None:
     assert found["again"] == replace(found["variant"], title="Again", demonstrations="static")
 
 
+def test_other_weights_need_a_line_that_says_what_they_learned_from() -> None:
+    methods = content()["methods"]
+    methods["ours"] |= {"options": ["--policy.path=me/pretrained"], "learns_from": "pretrained on pictures"}
+    assert declared(methods=methods).methods["ours"].learns_from
+
+
 def test_the_papers_numbers_are_of_all_categories_and_their_means_are_its_order() -> None:
     assert {len(values) for values in SUCCESS.values()} == {len(PAPER_CATEGORIES)}
     means = {name: reported_mean(name, PAPER_CATEGORIES) or 0.0 for name in SUCCESS}
@@ -65,6 +71,13 @@ def test_every_row_of_the_papers_table_can_be_made_here() -> None:
     methods = read_declaration().methods
     packages, unavailable = find_policies(methods)
     assert (packages, unavailable) == ({}, {}), "all are LeRobot's or ours"
+
+
+def test_options_that_a_policy_cannot_read_are_a_reason_and_no_traceback() -> None:
+    methods = declared().methods
+    broken = ("--policy.kl_weight={", "--policy.chunk_size=abc", "--policy.n_action_steps=500", "--policy.no_such=1")
+    given = {option: replace(methods["ours"], policy="act", options=(option,)) for option in broken}
+    assert set(find_policies(given)[1]) == set(broken)
 
 
 def changed(path: str, value: Any) -> dict[str, Any]:
@@ -90,6 +103,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/theirs", {"title": "a", "like": "none"}, "methods.theirs.like is 'none'"),
         ("methods/theirs", {"title": "a", "like": "theirs"}, "methods.theirs.like is 'theirs'"),
         ("methods/theirs", {"like": "ours"}, "methods.theirs lacks title"),
+        ("methods", {"ours": 3, "theirs": {"title": "a", "like": "ours"}}, "methods.theirs.like is 'ours'"),
         ("methods/theirs", {"title": "a", "expert": ["--a=b"], "demonstrations": "static"}, "without demonstrations"),
         ("methods/ours/checkpoint", "act", "USER/NAME of a checkpoint"),
         ("methods/theirs", {"title": "a", "policy": "b", "checkpoint": "c/d", "train": ["--a=b"]}, "has a checkpoint"),
@@ -102,9 +116,26 @@ def changed(path: str, value: Any) -> dict[str, Any]:
         ("methods/ours/polciy", "act", "methods.ours has an unknown field 'polciy'"),
         ("methods/ours/options", ["--steps=3"], "an option --policy.NAME=VALUE"),
         ("methods/ours/train", ["steps"], "an option --NAME=VALUE"),
-        ("methods/ours/train", ["--output_dir=elsewhere"], "of no folder, package or push"),
-        ("methods/ours/evaluate", ["--env.discover_packages_path=theirs"], "of no folder, package or push"),
+        ("methods/ours/train", ["--output_dir=elsewhere"], "folder, package or push"),
+        ("methods/ours/evaluate", ["--env.discover_packages_path=theirs"], "folder, package or push"),
+        ("methods/ours/train", ["--save_checkpoint_to_hub=true"], "folder, package or push"),
+        ("methods/ours/evaluate", ["--env={type: adamanip_safe, locked: false}"], "of no group"),
+        (f"scales/{SCALE}/evaluate", ["--env=type: adamanip_safe"], "of no group"),
+        ("methods/ours/evaluate", ["--env.fps=include mine.yaml"], "of no group, file"),
+        ("methods/ours/evaluate", ["--env.fps='include mine.yaml'"], "of no group, file"),
+        ("methods/ours/options", ["--policy.inference=!include mine.yaml"], "an option --policy.NAME=VALUE"),
         ("methods/ours/options", ["--policy.push_to_hub=true"], "an option --policy.NAME=VALUE"),
+        ("methods/ours/options", ["--policy.type=act"], "an option --policy.NAME=VALUE"),
+        (
+            "methods/ours/options",
+            ["--policy.path=somebody/else"],
+            "methods.ours has --policy.path=somebody/else and no",
+        ),
+        ("methods/ours/options", ["--policy.pretrained_path=a/b"], "no learns_from"),
+        ("methods/ours/train", ["--dataset.root=mine/unseen"], "no learns_from"),
+        ("methods/ours/train_at", {SCALE: ["--dataset.repo_id=me/unseen"]}, "no learns_from"),
+        ("methods/ours/evaluate", ["--policy.pretrained_revision=v1"], "no learns_from"),
+        (f"scales/{SCALE}/evaluate", ["--policy.path=a/b"], f"scales.{SCALE}.evaluate has --policy.path=a/b"),
         ("methods/ours/steps", {"huge": 3}, "methods.ours.steps is 'huge'"),
         ("methods/ours/train_at", {"huge": []}, "methods.ours.train_at is 'huge'"),
         ("methods/ours/train_at", {"huge": ["steps"]}, "an option --NAME=VALUE"),
@@ -126,6 +157,20 @@ def test_a_mistake_is_named(path: str, value: Any, message: str) -> None:
     with pytest.raises(ValueError) as error:  # noqa: PT011  (the text is what matters)
         parse_declaration(changed(path, value))
     assert message in str(error.value)
+
+
+def test_every_group_of_lerobots_options_is_refused_as_a_whole() -> None:
+    from draccus.wrappers import DataclassWrapper
+    from draccus.wrappers.wrapper import AggregateWrapper
+    from lerobot.configs.eval import EvalPipelineConfig
+    from lerobot.configs.train import TrainPipelineConfig
+
+    configurations = (DataclassWrapper(kind) for kind in (EvalPipelineConfig, TrainPipelineConfig))
+    children = [child for configuration in configurations for child in configuration._children]
+    assert {child.name for child in children if isinstance(child, AggregateWrapper)} == set(GROUPS)
+    for name in GROUPS:
+        with pytest.raises(ValueError, match="of no group"):
+            parse_declaration(changed("methods/ours/train", [f"--{name}={{}}"]))
 
 
 def test_every_shipped_declaration_can_be_read_and_no_scale_has_the_name_of_another() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import runpy
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -14,38 +15,55 @@ from benchmark_helpers import FakeRunner, benchmark, run_all
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
 from lerobot_adamanip.benchmark.leaderboard import COLUMNS, DECLARATION, SCALES, TRACKS, leaderboard_page, read_entry
-from lerobot_adamanip.benchmark.plan import all_cells, options_key
+from lerobot_adamanip.benchmark.plan import KeyVersions, all_cells, evaluation_options, named_steps, options_key, plan
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import Metrics
+from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES
 from lerobot_adamanip.evaluation.rates import rate
-from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, read_result, write_result
+from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, StepDone, read_result, write_result
 from lerobot_adamanip.util.errors import DatasetError
 
 METHOD = "dp3_adaptive"
 type MakeEntry = Callable[..., Path]
 
 
-@pytest.fixture(name="enter")
-def _enter(tmp_path: Path) -> MakeEntry:
-    run_all(benchmark(tmp_path / "out", FakeRunner(tmp_path / "fake")))
-    example = read_result(tmp_path / "out" / "cells" / "ours-safe-seen-1000.json")
+@pytest.fixture(name="example", scope="module")
+def _example(tmp_path_factory: pytest.TempPathFactory) -> ResultFile:
+    folder = tmp_path_factory.mktemp("example")
+    run_all(benchmark(folder / "out", FakeRunner(folder / "fake")))
+    return read_result(folder / "out" / "cells" / "ours-safe-seen-1000.json")
 
+
+@pytest.fixture(name="enter")
+def _enter(tmp_path: Path, example: ResultFile) -> MakeEntry:
     def make(name: str, opened: int, method: str = METHOD, table: str = "", **changes: Any) -> Path:
         folder = tmp_path / name
         folder.mkdir()
         (folder / DECLARATION).write_text(TRACKS.read_text() + table)
         tracks = read_declaration(folder / DECLARATION)
-        untried = {1: rate(3, 4), 2: rate(1, 2)}
-        metrics = Metrics(rate(opened, 60), rate(opened // 2, 60), repeated=rate(1, 4), untried=untried)
+        untried = {1: rate(3, 4), 2: rate(2, 4)}
+        metrics = Metrics(rate(opened, 60), rate(opened // 2, 60), repeated=rate(2, 8), untried=untried)
+        outcomes = f"{WITHIN_TRIES * (opened // 2)}{OPENED * (opened - opened // 2)}".ljust(60, FAILED)
+        tries = outcomes.translate(str.maketrans({WITHIN_TRIES: "0", OPENED: "2", FAILED: "1"}))
         for scale in SCALES:
             (folder / scale).mkdir()
             for cell in all_cells(tracks, scale):
                 if cell.method == method:
-                    key = options_key(cell, tracks, scale)
                     assert example.run is not None
-                    run = dataclasses.replace(example.run, scale=scale, method=method, seed=cell.seed, options=key)
-                    row = ResultRow("Mine", "paper", cell.category, cell.objects, metrics)
-                    one = dataclasses.replace(example, **{"rows": (row,), "commit": "0" * 40, "run": run, **changes})
+                    key, simulation = options_key(cell, tracks, scale), changes.get("simulation_version")
+                    whole = plan(cell, tracks, scale, KeyVersions(simulation or SIMULATION_VERSION))
+                    steps = {
+                        name: StepDone(key=step.key, command=shlex.join((*step.command, *step.non_key_options)))
+                        for name, step in named_steps(whole).items()
+                    }
+                    run = dataclasses.replace(
+                        example.run, scale=scale, method=method, seed=cell.seed, options=key, steps=steps
+                    )
+                    rules = evaluation_options(steps["evaluate"].command)["--env.mechanism_rules"]
+                    row = ResultRow("Mine", rules, cell.category, cell.objects, metrics, outcomes, tries)
+                    values = {"rows": (row,), "run": run, "command": steps["evaluate"].command}
+                    values |= {"seeds": (700000, 700059), "commit": "0" * 40}
+                    one = dataclasses.replace(example, **{**values, **changes})
                     write_result(folder / scale / f"{cell.name}.json", one)
         return folder
 
@@ -116,6 +134,32 @@ def test_a_script_checks_an_entry(
     assert "1 of 7 cells are missing" in capsys.readouterr().err
 
 
+def test_an_evaluation_again_is_compared_in_every_measured_number(
+    enter: MakeEntry, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    script = runpy.run_path(str(Path(__file__).parents[2] / "scripts" / "check_entry.py"))
+    folder, out = enter("mine", 30), tmp_path / "again"
+    monkeypatch.setattr("sys.argv", ["check_entry.py", str(folder), "--evaluate", "--out", str(out)])
+    called: list[str] = []
+
+    def evaluate(command: list[str], **_: Any) -> None:
+        called.append(command[0])
+        scale = command[command.index("--scale") + 1]
+        shutil.copytree(folder / scale, out / scale / "cells")
+        if scale == "row":
+            path = next((out / scale / "cells").glob("*.json"))
+            row = read_result(path).rows[0]
+            metrics = dataclasses.replace(row.metrics, repeated=rate(8, 8), untried={1: rate(0, 8)})
+            edit(path, lambda one: dataclasses.replace(one, rows=(dataclasses.replace(row, metrics=metrics),)))
+
+    monkeypatch.setattr("subprocess.run", evaluate)
+    monkeypatch.setenv("PATH", "")
+    assert script["main"]() == 1
+    assert all(Path(program).is_absolute() for program in called), "of this installation, whatever PATH is"
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.rpartition(" | ")[2] for line in lines if not line.endswith(" | ")] == ["repeated, untried"]
+
+
 def test_an_entry_has_every_cell_of_declared_scenes(enter: MakeEntry) -> None:
     folder = enter("mine", 30)
     cell = next((folder / "row").glob("*.json"))
@@ -157,10 +201,59 @@ def test_results_have_the_declared_scenes_and_episodes(enter: MakeEntry) -> None
     first, second = sorted((folder / "row").glob("*.json"))[:2]
     edit(first, lambda one: dataclasses.replace(one, scenes="train"))
     row = dataclasses.replace(read_result(second).rows[0], metrics=Metrics(rate(3, 5), rate(3, 5)))
+    row = dataclasses.replace(row, scene_outcomes="", scene_tries="")
     edit(second, lambda one: dataclasses.replace(one, rows=(row,)))
     said = lacking(folder)
     assert f"row, {first.stem}: 60 episodes of train scenes" in said
     assert f"row, {second.stem}: 5 episodes of test scenes" in said
+
+
+@pytest.mark.parametrize(
+    ("changes", "of_run", "of_row", "problem"),
+    [
+        ({"command": "lerobot-eval --env.split=train"}, {}, {}, "scale, command or steps"),
+        ({}, {"scale": "hints"}, {}, "scale, command or steps"),
+        ({}, {"steps": {"evaluate": StepDone(key="0" * 16, command="lerobot-eval --seed=5")}}, {}, "command or steps"),
+        ({"seeds": (0, 59)}, {}, {}, "seeds 0 to 59, not 700000 to 700059"),
+        ({}, {"data_version": 1}, {}, "data versions 1 and"),
+        ({}, {}, {"mechanism_rules": "paper"}, "rules paper, not row"),
+        ({}, {}, {"scene_outcomes": ""}, "without the outcome and the failed tries of each scene"),
+        ({}, {}, {"scene_tries": ""}, "without the outcome and the failed tries of each scene"),
+        ({}, {}, {"repeated": rate(0, 10**6), "untried": {1: rate(10**6, 10**6)}}, "repeated and untried are not"),
+        ({}, {}, {"repeated": rate(0, 8), "untried": {1: rate(4, 4)}}, "repeated and untried are not"),
+    ],
+)
+def test_a_result_that_contradicts_itself_is_named(
+    changes: dict[str, Any], of_run: dict[str, Any], of_row: dict[str, Any], problem: str, enter: MakeEntry
+) -> None:
+    folder = enter("mine", 30)
+    path = next((folder / "row").glob("*.json"))
+    result = read_result(path)
+    assert result.run is not None
+    counts = {name: of_row[name] for name in of_row.keys() & {"repeated", "untried"}}
+    metrics = dataclasses.replace(result.rows[0].metrics, **counts)
+    labels = {name: of_row[name] for name in of_row.keys() - counts.keys()}
+    row = dataclasses.replace(result.rows[0], metrics=metrics, **labels)
+    run = dataclasses.replace(result.run, **of_run)
+    write_result(path, dataclasses.replace(result, **{"rows": (row,), "run": run, **changes}))
+    assert problem in lacking(folder)
+
+
+@pytest.mark.parametrize("name", ["collect", "train", "evaluate"])
+def test_each_step_is_that_of_the_declaration(name: str, enter: MakeEntry) -> None:
+    folder = enter("mine", 30)
+    path = next((folder / "row").glob("*.json"))
+    result = read_result(path)
+    assert result.run is not None
+    for command in (
+        f"{result.run.steps[name].command} --x=1",
+        result.run.steps[name].command.replace("--", "--no_", 1),
+    ):
+        step = dataclasses.replace(result.run.steps[name], command=command)
+        run = dataclasses.replace(result.run, steps={**result.run.steps, name: step})
+        own = step.command if name == "evaluate" else result.command
+        write_result(path, dataclasses.replace(result, run=run, command=own))
+        assert "scale, command or steps are not those" in lacking(folder)
 
 
 @pytest.mark.parametrize(
@@ -194,6 +287,16 @@ def test_a_method_chooses_its_observations_and_not_its_scenes(field: str, proble
 )
 def test_an_entry_is_of_a_known_commit(changes: dict[str, Any], problem: str, enter: MakeEntry) -> None:
     assert lacking(enter("mine", 30, **changes)).count(problem) == 7 + 8 + 18
+
+
+def test_each_step_of_an_entry_is_of_a_commit_without_changes(enter: MakeEntry) -> None:
+    folder = enter("mine", 30)
+    path = next((folder / "row").glob("*.json"))
+    run = read_result(path).run
+    assert run is not None
+    costs = {**run.costs, "train": dataclasses.replace(run.costs["train"], changed=True)}
+    edit(path, lambda one: dataclasses.replace(one, run=dataclasses.replace(run, costs=costs)))
+    assert lacking(folder).count("made from a commit with changes, or from none") == 1
 
 
 def test_an_entry_is_of_one_simulation_version(enter: MakeEntry) -> None:

@@ -196,6 +196,28 @@ def test_an_expert_is_tested_in_the_scenes_of_the_policies_and_once() -> None:
     assert {"--env.type", "--env.objects", "--env.split", "--env.max_failed_tries", "--seed"} < expert.keys()
 
 
+def test_an_expert_leaves_out_observations_and_no_other_option() -> None:
+    methods = {**content()["methods"], "expert": {"title": "Expert", "expert": ["--expert=static"]}}
+
+    def command(*own: str, **scale: Any) -> tuple[str, ...]:
+        methods["expert"]["evaluate"] = list(own)
+        scales = {SCALE: {**content()["scales"][SCALE], **scale}}
+        return plan(cell("expert"), declared(methods=methods, scales=scales), SCALE, VERSIONS).command
+
+    assert option(command(poses="fixed"), "--poses") == "fixed"
+    unseen = ("--policy.use_amp=false", "--env.self_calibration=true", "--env.render_backend=cpu")
+    assert command(evaluate=list(unseen))[:-1] == command()[:-1]
+    for wrong in (
+        "--env.max_failed_trys=0",
+        "--env.locked=true",
+        "--env.workspace_upper=[1,1,1]",
+        "--eval.n_episode=3",
+    ):
+        for one in ({"evaluate": [wrong]}, {}):
+            with pytest.raises(ConfigurationError, match="none of `adamanip expert`"):
+                command(*([] if one else [wrong]), **one)
+
+
 def test_demonstrations_are_counted_by_category_or_by_object() -> None:
     for is_per_object, wanted in ((False, "3"), (True, "6")):
         command = steps(with_scale(demonstrations_per_object=is_per_object))[COLLECT].command

@@ -112,6 +112,9 @@ def test_the_summary_has_the_methods_with_all_categories(cells: Path) -> None:
     opened = [report.mean("ours", one) or 0.0 for one in ("seen", "unseen")]
     cells_of_ours = [f"{100 * one:.1f} %, {100 * other[0]:.1f} %" for one, other in zip(opened, both, strict=True)]
     assert rows["Ours"] == [*cells_of_ours, "2"]
+    (cells / "ours-safe-unseen-2.json").unlink()
+    (cells / "ours-bottle-unseen-2.json").unlink()
+    assert "| 2, 1 |" in summary(report_of(cells)), "each split of objects has its own number of trainings"
     assert summary(make_report([], wide(), SCALE)) == ""
 
 
@@ -258,6 +261,18 @@ def test_other_versions_and_other_options_are_marked(cells: Path) -> None:
     assert "Note: measured with different versions installed: torch 2.10.0 and 2.11.0." in marks(versions=newer)[2]
     assert marks(stale=True)[:2] == ("†", "†")
     assert marks(run={"options": "e" * 16})[:2] == ("‡", "‡")
+    report = report_of(cells)
+    (row,) = (line for line in summary(report).splitlines() if line.startswith("| Ours |"))
+    assert [cell.strip()[-1] for cell in row.strip("|").split("|")[1:3]] == ["‡", "%"]
+    assert "‡: of other options than declared now" in summary(report)
+    rows = re.findall(
+        r"^\| (demonstrations|Ours less Untrained) \| all, (\w+) \| ([^|]*) \|", benchmark_page(report), re.MULTILINE
+    )
+    assert {(title, objects): gap[-1] == "‡" for title, objects, gap in rows} == {
+        (title, objects): objects == "seen"
+        for title in ("demonstrations", "Ours less Untrained")
+        for objects in ("seen", "unseen")
+    }, "a difference of a marked number is marked"
 
 
 def test_a_method_that_is_declared_no_more_keeps_its_row(cells: Path) -> None:

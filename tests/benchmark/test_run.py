@@ -340,6 +340,23 @@ def test_a_checkpoint_is_of_the_declared_revision(tmp_path: Path, monkeypatch: p
     assert "--policy.pretrained_revision=v1.0" in command
 
 
+def test_a_result_has_the_commits_of_its_steps(tmp_path: Path) -> None:
+    root, path = tmp_path / "out", tmp_path / "out" / "cells" / "ours-safe-seen-1000.json"
+    begun = dataclasses.replace(ORIGIN, commit="a" * 40, changed=True)
+    run_all(benchmark(root, FakeRunner(tmp_path), origin=begun))
+    path.unlink()
+    run_all(benchmark(root, FakeRunner(tmp_path)))
+    found = read_result(path)
+    assert (found.commit, found.changed) == (begun.commit, True), "no step was made again"
+    assert found.commits == {("a" * 40, True)}
+    for note in (root / "steps").glob("*.json"):  # as written before steps held a commit
+        content = json.loads(note.read_text())
+        note.write_text(json.dumps({name: content[name] for name in content.keys() - {"commit", "changed"}}))
+    path.unlink()
+    run_all(benchmark(root, FakeRunner(tmp_path)))
+    assert read_result(path).commits == {(ORIGIN.commit, False)}
+
+
 def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> None:
     root, runner = tmp_path / "out", FakeRunner(tmp_path)
     run_all(benchmark(root, runner))
@@ -350,6 +367,18 @@ def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> No
     result.unlink()
     assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
     assert (results(root), len(runner.called)) == (before, called + 1)
+
+
+def test_a_log_of_other_episodes_is_no_result(tmp_path: Path) -> None:
+    root, runner = tmp_path / "out", FakeRunner(tmp_path)
+    run_all(benchmark(root, runner))
+    before, called = results(root), len(runner.called)
+    result = root / "cells" / "untrained-safe-seen-1000.json"
+    log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
+    log.write_text(log.read_text().replace('"poses": "randomized"', '"poses": "fixed"'))
+    result.unlink()
+    assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
+    assert (results(root), len(runner.called)) == (before, called + 1), "it is evaluated again"
 
 
 # Programs ---------------------------------------------------------------------------------------------------------

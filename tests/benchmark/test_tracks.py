@@ -138,6 +138,11 @@ def test_declared_effects_are_in_the_same_scenes(path: Path) -> None:
                     assert {name for name, _ in left ^ right} <= allowed, (scale, effect.title)
 
 
+def test_a_whole_environment_decides_the_scenes() -> None:
+    command, whole = "lerobot-eval --env.type=adamanip_safe", "--env={type: adamanip_bottle}"
+    assert dict(scene_options(shlex.join([*command.split(), whole])))["--env"] == whole.removeprefix("--env=")
+
+
 def test_kinds_of_memory_differ_in_nothing_else() -> None:
     """Equal demonstrations, steps and scenes; a training differs in the kind of memory alone."""
     assert {KINDS.methods[name].policy for name in KINDS.methods} == {"dp3_adaptive", "diffusion"}

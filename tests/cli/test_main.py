@@ -23,6 +23,10 @@ class Probe:
     def run(self) -> int:
         if self.fail == "dataset":
             raise DatasetError("half written")
+        if self.fail == "path":
+            raise NotADirectoryError(20, "Not a directory", "some/file/x")
+        if self.fail == "socket":
+            raise OSError(98, "Address already in use")
         if self.fail == "interrupt":
             raise KeyboardInterrupt
         if self.fail == "simulator":
@@ -50,6 +54,7 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
         (["probe"], 0, "", ""),
         (["probe", "--status", "7"], 7, "", ""),
         (["probe", "--fail", "dataset"], 2, "", "error: half written\n"),
+        (["probe", "--fail", "path"], 2, "", "some/file/x: Not a directory\n  allowed:"),
         (["probe", "--fail", "interrupt"], 130, "", "interrupted\n"),
         (["probe", "--fail", "simulator"], 2, "", "lerobot_env_adamanip[sim]"),
         (["absent"], 2, "", "no_such_module"),
@@ -72,3 +77,5 @@ def test_help_lists_every_command() -> None:
 def test_our_own_mistakes_keep_their_traceback() -> None:
     with pytest.raises(ModuleNotFoundError, match="typo"):
         cli.main(["probe", "--fail", "bug"])
+    with pytest.raises(OSError, match="Address"):
+        cli.main(["probe", "--fail", "socket"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import subprocess
 from pathlib import Path
@@ -13,7 +14,7 @@ from benchmark_helpers import FakeRunner, benchmark, declared, run_all
 from loopback_hub import LoopbackHub
 
 from lerobot_adamanip.benchmark.plan import FOLDERS, last_checkpoint
-from lerobot_adamanip.evaluation.results import read_result
+from lerobot_adamanip.evaluation.results import read_result, write_result
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -62,6 +63,28 @@ def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.Cap
     printed = capsys.readouterr().err
     assert "error: No result of this policy." in printed
     assert "theirs-bottle-seen-1000.json" in printed
+
+
+def test_results_on_a_card_are_of_the_published_training(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, options = folder / "cells" / "ours-safe-unseen-1000.json", ["--user", "someone", "--benchmark", str(folder)]
+    options += ["--categories", "safe", "--dry-run"]
+    result = read_result(path)
+    assert result.run is not None
+    train = dataclasses.replace(result.run.steps["train"], key="f" * 16)
+    other = dataclasses.replace(result.run, steps={**result.run.steps, "train": train})
+    later = dataclasses.replace(result.run, data_version=result.run.data_version + 1)
+    for changed in (
+        dataclasses.replace(result, run=other),
+        dataclasses.replace(result, run=later),
+        dataclasses.replace(result, simulation_version=1),
+    ):
+        write_result(path, changed)
+        assert publish.main([*options, "--method", "ours"]) == 2
+        assert "error: The results of a checkpoint are of several trainings" in capsys.readouterr().err
+    write_result(path, dataclasses.replace(result, run=None))
+    for method in ("ours", "untrained"):
+        assert publish.main([*options, "--method", method]) == 2
+        assert "error: A result of no training." in capsys.readouterr().err
 
 
 def test_whose_it_is_must_be_said() -> None:
