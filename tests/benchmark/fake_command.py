@@ -148,6 +148,7 @@ def evaluate(options: dict[str, str], templates: dict[str, list[dict[str, Any]]]
         where = (f"{category}_050", "unseen") if objects == "unseen" else (f"{category}_000", "seen")
         changed = {"seed": seed, "given_seed": seed, "object_id": where[0], "object_split": where[1], "run_id": run_id}
         changed |= {name: options[f"--env.{name}"] for name in ("poses", "sensing") if f"--env.{name}" in options}
+        changed["max_key_frames"] = int(options.get("--env.episode_length", record["max_key_frames"]))
         key_frames = record["key_frames"] + drawn // 7 % 5
         with log.open("a") as file:
             file.write(json.dumps(record | changed | {"key_frames": key_frames}) + "\n")
