@@ -64,7 +64,7 @@ def run_of(paths: Sequence[Path]) -> CellRun:
             "The results of a checkpoint are of several trainings or versions.",
             got=f"{', '.join(path.name for path in paths)}: {'; '.join(kinds)}",
             allowed="results of one training, simulation version and data version",
-            hint="run adamanip benchmark again, which replaces stale results",
+            hint="the same `adamanip benchmark` command again, which replaces stale results",
         )
     return next(iter(runs.values()))
 

@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.dense_codec import pose_state
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameLabels, Outcome
 from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.schema import FPS, STATE_DIM
@@ -133,7 +133,8 @@ class RunningEpisode:
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
         tries, allowed = simulation.tries, self._max_failed_tries
         # A try in a key frame that was not blocked may still move its joint in the next one.
-        failed = tries.failed_tries if not self._is_dense and driver.feedback.failed else tries.ended_failed_tries
+        is_blocked = not self._is_dense and driver.feedback.outcome is not Outcome.REACHED
+        failed = tries.failed_tries if is_blocked else tries.ended_failed_tries
         limit = TIME_LIMIT if self.steps >= self._step_limit else ""
         limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES

@@ -39,11 +39,8 @@ class PushCommand:
     """Folder of the dataset, or pretrained_model of a checkpoint."""
 
     results: tuple[Path, ...] = ()
-    """Evaluations for the card of a policy or of the environments: files of `adamanip report --out`, or episode logs
-    with --results-command."""
-
-    results_command: str | None = None
-    """Command that made the episode logs given as --results, as typed."""
+    """Evaluations for the card of a policy or of the environments: files of `adamanip report LOG --out FILE --command
+    '...'`."""
 
     dataset: str | None = None
     """Hub name of a policy's training dataset. Default: from its training configuration."""
@@ -99,11 +96,11 @@ class PushCommand:
             )
 
     def _staged(self, into: Path) -> Staged:
-        from lerobot_adamanip.hub.model_index import results_for_card
+        from lerobot_adamanip.evaluation.results import read_result
         from lerobot_adamanip.hub.staging import stage_dataset, stage_environment, stage_model
 
         into.mkdir()
-        results = results_for_card(self.results, self.results_command)
+        results = [read_result(path) for path in self.results]
         if self.kind == "environment":
             from lerobot_adamanip.evaluation.provenance import present_origin
 

@@ -16,8 +16,7 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, c
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS, BalancedDraws
 from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
-from lerobot_adamanip.util.annotations import check_types
-from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, require_choice, require_types
 
 POSES = ("randomized", "fixed")
 """``randomized``: object, robot and camera pose are drawn; ``fixed``: nominal poses, as in upstream's code."""
@@ -135,8 +134,8 @@ class EnvironmentOptions:
         for name in ("assets", "episode_log"):
             if isinstance(value := getattr(self, name), Path):
                 object.__setattr__(self, name, str(value))
-        check_types(self)
-        check_types(self.workspace)
+        require_types(self)
+        require_types(self.workspace)
         object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides)))
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.

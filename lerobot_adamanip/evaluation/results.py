@@ -398,7 +398,7 @@ def read_result(path: Path) -> ResultFile:
             "Not a result file.",
             got=f"{path}: {error}",
             allowed="what `adamanip report --out` or `adamanip benchmark` writes",
-            hint=f"remove {path.name}, and measure again",
+            hint="adamanip report LOG --out FILE --command 'lerobot-eval ...', from the episode log",
         ) from error
 
 

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.rates import success_summary
-from lerobot_adamanip.evaluation.record import read_log
-from lerobot_adamanip.evaluation.results import ResultFile, policy_result, read_result
+from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.evaluation.text_format import markdown_table, words
-from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
     from huggingface_hub import EvalResult
@@ -21,34 +18,6 @@ NO_RESULTS = (
     "None are published with it. `adamanip report LOG --out FILE --command '...'`, then "
     "`adamanip push ... --results FILE`, adds them."
 )
-
-
-def results_for_card(paths: Sequence[Path], command: str | None = None) -> list[ResultFile]:
-    """Reads result files of ``adamanip report --out`` and episode logs (``.jsonl``).
-
-    Args:
-        paths: paths of the files.
-        command: command that wrote the episode logs, as typed; required for episode logs.
-
-    Raises:
-        DatasetError: a file is neither a result file nor an episode log.
-        ConfigurationError: an episode log has no command, or mixes simulation versions or splits.
-    """
-    return [_result_of_log(path, command) if path.suffix == ".jsonl" else read_result(path) for path in paths]
-
-
-def _result_of_log(path: Path, command: str | None) -> ResultFile:
-    records = read_log(path)
-    if not command:
-        raise ConfigurationError(
-            "Episode logs need the command that made them.",
-            got=f"{path.name} without a command",
-            allowed="--results-command 'lerobot-eval ...', as typed",
-            hint="or adamanip report LOG --out FILE --command '...', then --results FILE",
-        )
-    labels = {record.provenance.run_label for record in records} - {None}
-    subject = " / ".join(sorted(map(str, labels))) or "policy"
-    return policy_result({subject: records}, title="success", command=command)
 
 
 def results_table(results: Sequence[ResultFile]) -> str:

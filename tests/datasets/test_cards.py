@@ -15,7 +15,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from huggingface_hub import ModelCard
-from records import record
 
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
@@ -24,12 +23,10 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.editing import filter_episodes
 from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
-from lerobot_adamanip.evaluation.record import append_record
-from lerobot_adamanip.evaluation.results import command_options
+from lerobot_adamanip.evaluation.results import command_options, read_result
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
-from lerobot_adamanip.hub.model_index import results_for_card
 from lerobot_adamanip.hub.scan import Names, scan
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import DatasetError
 from lerobot_env_adamanip.sim import render_device
 
 
@@ -179,7 +176,7 @@ def test_an_invalid_card_is_one_clear_error(refuses: Callable[..., str], name: s
 
 
 def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
-    (result,) = results_for_card([project_root / "results" / "demo.json"])
+    result = read_result(project_root / "results" / "demo.json")
     checkpoint = Checkpoint({"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000)
     text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
     check_card(text, "model")
@@ -200,7 +197,7 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
 def test_a_policy_at_control_rate_says_how_it_is_evaluated(project_root: Path) -> None:
     """Its category and options are those of its results, since a training need not name them."""
     path = project_root / "results" / "benchmark" / "one_object" / "act-safe-seen-1000.json"
-    (result,) = results_for_card([path])
+    result = read_result(path)
     text = model_card(Checkpoint({"type": "act"}, {"steps": 5}, 1), "someone/policy", results=[result])
     assert "--env.type=adamanip_safe --env.control=dense --env.action=ee_pose --env.state=pose" in text
     assert "--env.memory=events --env.image_size=96 " in text.replace("--env.num_points=1024 ", "")
@@ -236,15 +233,3 @@ def test_options_of_a_command_with_spaces_are_those_with_equals_signs() -> None:
     }  # fmt: skip
     assert command_options(words) == expected
     assert command_options("adamanip collect --cloud DIR --seed=1") == {"--cloud": "", "--seed": "1"}
-
-
-def test_results_of_an_episode_log_need_its_command(
-    project_root: Path, tmp_path: Path, refuses: Callable[..., str]
-) -> None:
-    log = tmp_path / "eval.jsonl"
-    for seed, success in ((1, True), (2, False), (3, True)):
-        append_record(log, record(seed=seed, given_seed=seed, success=success))
-    assert "--results-command" in refuses(ConfigurationError, lambda: results_for_card([log]))
-    (result,) = results_for_card([log], "lerobot-eval --policy.path=someone/policy --env.type=adamanip_safe")
-    assert [(row.metrics.success.count, row.metrics.success.episodes) for row in result.rows] == [(2, 3)]
-    refuses(ConfigurationError, lambda: results_for_card([log], "lerobot-eval --policy.path=/home/x/policy"))
