@@ -135,7 +135,6 @@ class EnvironmentOptions:
             if isinstance(value := getattr(self, name), Path):
                 object.__setattr__(self, name, str(value))
         require_types(self)
-        require_types(self.workspace)
         object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides)))
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.

@@ -6,7 +6,7 @@ import contextlib
 import difflib
 import numbers
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
 
@@ -81,25 +81,33 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | N
     raise ConfigurationError(f"Unknown {what}.", got=repr(got), allowed=listed(names), hint=advice)
 
 
-def require_types(instance: Any) -> None:
+def require_types(instance: Any, prefix: str = "") -> None:
     """Replaces the values of a dataclass by equal ones of the annotated types: a list by a tuple, NumPy's numbers.
+
+    Args:
+        instance: the dataclass. Dataclasses in it are checked too.
+        prefix: what its fields are called in errors, before their names.
 
     Raises:
         ConfigurationError: a value has another type. ``"false"`` is no bool, True no number, and 10.0 no int.
     """
     annotations = get_type_hints(type(instance))
     for item in fields(instance):
-        value, annotation = getattr(instance, item.name), annotations[item.name]
+        name, value, annotation = prefix + item.name, getattr(instance, item.name), annotations[item.name]
+        if value is item.default:  # None stands for a value that is set later
+            continue
         try:
             object.__setattr__(instance, item.name, _converted(value, annotation))
         except TypeError:
-            allowed = getattr(annotation, "__name__", str(annotation)) if get_args(annotation) == () else annotation
+            allowed = annotation.__name__ if isinstance(annotation, type) else annotation
             raise ConfigurationError(
-                f"Wrong type of {item.name}.",
+                f"Wrong type of {name}.",
                 got=f"{value!r:.80} ({type(value).__name__})",
                 allowed=str(allowed).replace("collections.abc.", "").replace("typing.", ""),
-                hint=f"{item.name}={item.default!r}",
+                hint=f"{name}={item.default!r}",
             ) from None
+        if is_dataclass(value):
+            require_types(value, f"{name}.")
 
 
 def _converted(value: Any, annotation: Any) -> Any:

@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.control import KEYFRAME
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, POINT_CLOUD, POSE_NAMES, STATE
 from lerobot_adamanip.hardware.features import names_of
-from lerobot_adamanip.util.errors import ConfigurationError, shown_by_parsers
+from lerobot_adamanip.util.errors import ConfigurationError, require_types, shown_by_parsers
 from lerobot_policy_adamanip.common.threads import limit_threads_to_quota, stop_spinning_if_busy
 
 MIN_MOMENT = 1e-30
@@ -98,6 +98,7 @@ class CloudPolicyConfig(PreTrainedConfig):
     def __post_init__(self) -> None:
         """Checks the options, see `check`."""
         with shown_by_parsers():
+            require_types(self)
             self.check()
         super().__post_init__()
 
