@@ -53,7 +53,7 @@ def gain(min_outcome: str, objects: str = "seen", categories: Sequence[str] = ()
     """Returns the same in points, with its interval."""
     difference = gap(min_outcome, objects, categories)
     values = difference.difference, difference.low, difference.high
-    return "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * value for value in values))
+    return "{:+d} [{:+d}, {:+d}]".format(*(round(100 * value) for value in values))
 
 
 def listed(words: Sequence[str]) -> str:
@@ -104,6 +104,12 @@ def test_repeats_and_what_follows_a_failure_are_counted() -> None:
     )
     text = f"another one in {kept[0]} cases, where two have failed in {kept[1]}; without the memory in "
     text += " and ".join(lost)
+    assert text in DOCUMENTS["docs/memory.md"]
+    ends = ("lamp", "safe"), tuple(name for name in CATEGORIES if name not in ("lamp", "safe"))
+    shares = [(metrics("dp3_adaptive", *names).untried or {})[2] for names in ends]
+    text = "after two it is {} of {} at lamps and safes, {} of {} at the seven others".format(
+        *(number for share in shares for number in (share.count, share.episodes))
+    )
     assert text in DOCUMENTS["docs/memory.md"]
 
 
