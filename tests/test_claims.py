@@ -129,23 +129,31 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
     assert f"opened and within the tries: {both}." in DOCUMENTS["docs/memory.md"]
 
 
+def of_training(method: str, seed: int = 1001) -> Metrics:
+    """Returns all categories of one training, seen objects."""
+    files = ROOT / "results" / "benchmark" / "test"
+    rows = [read_result(files / f"{method}-{category}-seen-{seed}.json").rows[0] for category in CATEGORIES]
+    return pool([row.metrics for row in rows])
+
+
 def test_d435_is_compared_with_exact_clouds_of_the_same_training() -> None:
-    cells = ROOT / "results" / "benchmark" / "test"
-    rows = {
-        (method, category): read_result(cells / f"{method}-{category}-seen-1001.json").rows[0].metrics
-        for method in ("d435_calibrated", "dp3_adaptive")
-        for category in CATEGORIES
-    }
-    sums = {
-        method: [
-            sum(rate.count for category in CATEGORIES if (rate := getattr(rows[method, category], name)))
-            for name in ("success", "within_best_tries")
-        ]
-        for method in ("d435_calibrated", "dp3_adaptive")
-    }
-    (opened, within), exact = sums["d435_calibrated"], sums["dp3_adaptive"]
-    text = f"it opens {opened} of 900, within the tries {within}; with exact clouds {exact[0]} and {exact[1]}."
+    d435, exact = (counts(of_training(method)).split(", ") for method in ("d435_calibrated", "dp3_adaptive"))
+    text = f"it opens {d435[0]} of 900, within the tries {d435[1]}; with exact clouds {exact[0]} and {exact[1]}."
     assert text in DOCUMENTS["docs/sensing.md"]
+
+
+@pytest.mark.parametrize(
+    ("method", "title"),
+    [
+        ("with_rules", "memory and rules"),
+        ("dp3_adaptive", "memory alone (default)"),
+        ("rules_alone", "rules alone"),
+        ("without_memory", "neither"),
+    ],
+)
+def test_memory_and_rules_are_told_apart_in_one_training(method: str, title: str) -> None:
+    row = counts(of_training(method)).replace(", ", " | ")
+    assert f"| {title} | {row} |" in DOCUMENTS["docs/memory.md"]
 
 
 def test_the_twin_opens_what_the_evaluation_opened() -> None:

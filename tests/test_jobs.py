@@ -131,7 +131,7 @@ if __name__ == "__main__":
 
 
 def test_a_copy_has_imported_the_named_modules_already(tmp_path: Path) -> None:
-    script = tmp_path / "copy.py"
+    script = tmp_path / "imports.py"
     script.write_text(COPY)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     subprocess.run([sys.executable, str(script), str(tmp_path)], env=environment, check=True)

@@ -57,6 +57,13 @@ def test_equal_values_of_other_types_become_the_annotated_ones() -> None:
     assert options.changed(assets=None, episode_log=Path("log.jsonl")).episode_log == "log.jsonl"
 
 
+def test_a_change_to_key_frames_resets_what_they_do_not_read() -> None:
+    dense = GIVEN.changed(control="dense", action="joint", state="full", fps=25, max_steps=9)
+    assert dense.changed(control="keyframe") == GIVEN
+    with pytest.raises(ConfigurationError, match="fps has no effect"):
+        dense.changed(control="keyframe", fps=25)
+
+
 def test_json_holds_every_option() -> None:
     told = json.loads(json.dumps(GIVEN.to_json()))
     assert set(told) == set(EnvironmentOptions.__dataclass_fields__)
@@ -88,7 +95,6 @@ def test_json_holds_every_option() -> None:
         # Without effect.
         ({"action": "joint"}, "--env.control=dense"),
         ({"fps": 25}, "--env.control=dense"),
-        ({"control": "dense", "max_key_frames": 9}, "max_steps=300"),
         ({"control": "dense", "self_calibration": True}, "--env.observe_cloud=true"),
         # Of another type than annotated: Python checks none, and text is true, or a list of letters.
         ({"observe_images": "false"}, "bool | None"),

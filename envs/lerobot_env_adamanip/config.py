@@ -139,7 +139,7 @@ class AdaManipEnvConfig(EnvConfig):
                 )
             for group in self._groups().values():
                 self._options(**group)
-            chosen = self._shared_options
+            chosen = self.shared_options
             names = camera_names(chosen.observed_cameras, self.camera_names)
         self.task = self.task or self.category
         dims = {"action": ACTION_DIM, "state": STATE_DIM}
@@ -174,7 +174,7 @@ class AdaManipEnvConfig(EnvConfig):
         return self._options(self.category)
 
     @property
-    def _shared_options(self) -> EnvironmentOptions:
+    def shared_options(self) -> EnvironmentOptions:
         """Options of the first environment, for what all have in common."""
         return self._options(**next(iter(self._groups().values())))
 
@@ -210,7 +210,7 @@ class AdaManipEnvConfig(EnvConfig):
 
         if line := unchanged_rules([group["category"] for group in self._groups().values()], self.mechanism_rules):
             logging.getLogger(__name__).warning(line)
-        shared = self._shared_options
+        shared = self.shared_options
         names = camera_names(shared.observed_cameras, self.camera_names)
         observed = observes_images(self.observe_images, shared.images_from)
         if not observed:

@@ -19,6 +19,7 @@ from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, EE_DELTA, JOI
 from lerobot_adamanip.contract.memory import MEMORY, TEXT
 from lerobot_adamanip.contract.schema import ACTION, EFFORT, FPS, KEY_FRAME, POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.training_data import training_info, training_objects, training_options
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, listed
 
 if TYPE_CHECKING:
@@ -118,7 +119,9 @@ def _require_control(policy: Any, path: str, environment: AdaManipEnvConfig) -> 
         control = DENSE
     trained = {"control": control, **({"fps": fps, **kinds} if control == DENSE else {})}
     known = {name: value for name, value in trained.items() if value is not None}
-    offered = {name: getattr(environment, name) for name in known} if environment.control == DENSE else {}
+    offered = (
+        {name: getattr(environment.shared_options, name) for name in known} if environment.control == DENSE else {}
+    )
     offered["control"] = environment.control
     if any(offered.get(name) != value for name, value in known.items()):
         raise ConfigurationError(
@@ -156,7 +159,7 @@ def trained_control(policy: Any, checkpoint: Path) -> tuple[str | None, int | No
     environment: Any = training_options(checkpoint).get("env")
     if not isinstance(environment, Mapping) or environment.get("control") != DENSE:
         return None, None
-    return DENSE, environment.get("fps")
+    return DENSE, environment.get("fps") or EnvironmentOptions.fps
 
 
 def _require_cameras(policy: Any, path: str, offered: Mapping[str, Any]) -> None:

@@ -41,8 +41,8 @@ MAX_FAILED_TRIES = 1000
 """Largest allowed value."""
 DEFAULT_LATE_STARTS = 0.15
 """Share of collected episodes that start from a perturbed mid-task state."""
-_NO_EFFECT = {KEYFRAME: ("fps", "action", "state", "max_steps"), DENSE: ("max_key_frames",)}
-"""Control -> options that it does not read."""
+OF_DENSE = ("fps", "action", "state", "max_steps")
+"""Options that key frames do not read."""
 STORED_NAMES = {"mechanism_rules": "mechanism_preset", "expert_strategy": "expert_preset"}
 """Option -> its key in files (manifests, episode logs), if the two differ."""
 
@@ -188,14 +188,14 @@ class EnvironmentOptions:
 
     def _check_effect(self) -> None:
         """Refuses options that change nothing with this control."""
-        defaults = {item.name: item.default for item in fields(self)}
-        for name in _NO_EFFECT[self.control]:
-            if getattr(self, name) != defaults[name]:
+        for name in () if self.is_dense else OF_DENSE:
+            default = getattr(EnvironmentOptions, name)
+            if getattr(self, name) != default:
                 raise ConfigurationError(
                     f"{name} has no effect with control={self.control}.",
                     got=f"{name}={getattr(self, name)!r}",
-                    allowed=f"{name}={defaults[name]!r}, or the other control",
-                    hint="--env.control=dense" if self.control == KEYFRAME else "max_steps=300",
+                    allowed=f"{name}={default!r}, or control={DENSE}",
+                    hint=f"--env.control={DENSE}",
                 )
         if self.self_calibration and not self.observes_cloud:
             raise ConfigurationError(
@@ -241,9 +241,14 @@ class EnvironmentOptions:
         return _restored, ({**values, "hidden_overrides": dict(self.hidden_overrides)},)
 
     def changed(self, **values: Any) -> EnvironmentOptions:
-        """Returns a copy with other values; raises `ConfigurationError` for an unknown option."""
+        """Returns a copy with other values; raises `ConfigurationError` for an unknown option.
+
+        A change to key frames resets the options that they do not read.
+        """
         require_known(values)
-        return replace(self, **values)
+        is_reset = self.is_dense and values.get("control") == KEYFRAME
+        reset = {name: getattr(EnvironmentOptions, name) for name in OF_DENSE if is_reset}
+        return replace(self, **{**reset, **values})
 
     def to_json(self) -> dict[str, Any]:
         """Returns a JSON-able dictionary of every option."""
