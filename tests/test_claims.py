@@ -50,9 +50,9 @@ def gap(
 ) -> PairedDifference:
     """Returns what the first method adds to the second in the main table."""
     report = REPORTS["test"]
-    found = report.paired(methods, categories or report.categories, objects, min_outcome)
-    assert found is not None
-    return found
+    difference = report.paired(methods, categories or report.categories, objects, min_outcome)
+    assert difference is not None
+    return difference
 
 
 def gain(
