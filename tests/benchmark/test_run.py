@@ -12,6 +12,7 @@ import signal
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -357,25 +358,20 @@ def test_a_result_has_the_commits_of_its_steps(tmp_path: Path) -> None:
     assert read_result(path).commits == {(ORIGIN.commit, False)}
 
 
-def test_an_evaluation_whose_log_has_lost_lines_runs_again(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "damage",
+    [
+        pytest.param(lambda text: "".join(text.splitlines(keepends=True)[:3]), id="lost lines"),
+        pytest.param(lambda text: text.replace('"poses": "randomized"', '"poses": "fixed"'), id="other episodes"),
+    ],
+)
+def test_an_evaluation_whose_log_is_not_of_its_command_runs_again(tmp_path: Path, damage: Callable[[str], str]) -> None:
     root, runner = tmp_path / "out", FakeRunner(tmp_path)
     run_all(benchmark(root, runner))
     before, called = results(root), len(runner.called)
     result = root / "cells" / "untrained-safe-seen-1000.json"
     log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
-    log.write_text("".join(log.read_text().splitlines(keepends=True)[:3]))
-    result.unlink()
-    assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
-    assert (results(root), len(runner.called)) == (before, called + 1)
-
-
-def test_a_log_of_other_episodes_is_no_result(tmp_path: Path) -> None:
-    root, runner = tmp_path / "out", FakeRunner(tmp_path)
-    run_all(benchmark(root, runner))
-    before, called = results(root), len(runner.called)
-    result = root / "cells" / "untrained-safe-seen-1000.json"
-    log = root / "evaluations" / run_of(result).key / "episodes.jsonl"
-    log.write_text(log.read_text().replace('"poses": "randomized"', '"poses": "fixed"'))
+    log.write_text(damage(log.read_text()))
     result.unlink()
     assert {each.state for each in run_all(benchmark(root, runner))} == {"done"}
     assert (results(root), len(runner.called)) == (before, called + 1), "it is evaluated again"

@@ -64,7 +64,7 @@ def test_a_row_pairs_what_was_seen_before_an_action_with_how_it_ended() -> None:
 
 
 def test_a_try_that_moves_its_joint_in_a_later_key_frame_has_not_failed() -> None:
-    """It goes on over the first two key frames; the try of the third fails."""
+    """One try spans the first two key frames and succeeds; the try of the third fails."""
     env, first = ready(locked=False)
     recorder, steps = EpisodeRecorder(env.joints), list[KeyFrame]()
     rollout(env, first, play(PULL, FARTHER, PULL), steps.append, past_success=True)
