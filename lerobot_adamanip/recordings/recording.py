@@ -125,16 +125,16 @@ class DenseRecording:
                 return np.full((len(readings), len(selected)), default, np.float32)
             return readings[:, [names.index(name) for name in selected]].astype(np.float32, copy=False)
 
-        state = numbers(schema.STATE_NAMES, np.nan)
-        if not np.isfinite(state).all() or len(state) < 2:
-            got = f"episode {number}: {len(state)} ticks, NaN or infinity in the arm's state"
+        state, effort = numbers(schema.STATE_NAMES, np.nan), numbers(schema.EFFORT_NAMES, 0.0)
+        if not np.isfinite(state).all() or not np.isfinite(effort).all() or len(state) < 2:
+            got = f"episode {number}: {len(state)} ticks, NaN or infinity in the arm's state or effort"
             raise _unusable(self.root, got, "two ticks or more, finite", "lerobot-edit-dataset to delete it")
         requested = self._targets(columns[schema.ACTION].astype(np.float32, copy=False), state)
         sent = numbers(SENT_NAMES, np.nan) if SENT_NAMES[0] in names else self._accepted(requested, state[0, :10])
         success, corrected = columns.get(schema.SUCCESS, np.zeros(len(state))), columns.get(INTERVENTION)
         return DenseEpisode(
             state=state,
-            effort=numbers(schema.EFFORT_NAMES, 0.0),
+            effort=effort,
             sent=_known_targets(sent, state),
             stamp=numbers([STAMP_NAME], 0.0)[:, 0].astype(np.float64),
             outcome=np.rint(numbers([OUTCOME_NAME], -1.0)[:, 0]).astype(np.int64),

@@ -20,6 +20,7 @@ from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.dataset import Dataset, camera_of, open_dataset
 from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.opening import read_info
+from lerobot_adamanip.datasets.repair import repair
 from lerobot_adamanip.hardware.camera_frames import save_calibration
 from lerobot_adamanip.hardware.features import CALIBRATIONS, SAFETY
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
@@ -228,6 +229,18 @@ def test_what_cannot_be_converted_is_named(recording: Path, finished: Path, tmp_
     with pytest.raises(DatasetError, match="calibration"):
         convert([root], tmp_path / "made", OPTIONS)
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize("readings", ["state", "effort"])
+def test_readings_that_are_no_numbers_are_refused(readings: str, tmp_path: Path) -> None:
+    episode = dense_episode(STOPS[:2])
+    getattr(episode, readings)[3, 0] = np.nan
+    root = write_recording(tmp_path / "recording", episode)
+    with pytest.raises(DatasetError, match="NaN is no number"):
+        DenseRecording.open(root)
+    repair(root)  # the statistics then leave the tick out; the episode stays as it was recorded
+    with pytest.raises(DatasetError, match="NaN or infinity in the arm's state or effort"):
+        DenseRecording.open(root).episode(0)
 
 
 def test_an_episode_without_motion_is_left_out_on_request(tmp_path: Path) -> None:
