@@ -13,9 +13,9 @@ import reprlib
 import statistics
 import uuid
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 from lerobot_adamanip.assets import parse_asset_id
 from lerobot_adamanip.catalog import category_of, is_asset_id, parse_object_id
@@ -34,11 +34,6 @@ TryMade = tuple[int, int, bool]
 """A try: joint index in the mechanism's `joints`, sign of the direction, whether it failed."""
 Boundaries = Mapping[tuple[str, str], float]
 """(category, hidden name) -> median that halves a continuous range."""
-_OPTIONAL: Mapping[str, Any] = {
-    "repeat": 0, "sensing": EXACT, "hints": 0.0, "episode": None, "seconds": None, "self_calibration": False,
-    "control": KEYFRAME, "fps": None,
-}  # fmt: skip
-"""Fields that a log holds only if they differ from these values."""
 LIMITS = {
     "max_key_frames": "lengths of episodes", "max_failed_tries": "limits of failed tries", "poses": "poses",
     "sensing": "errors of sensors", "hints": "shares of hints", "self_calibration": "self-calibrations",
@@ -47,6 +42,39 @@ LIMITS = {
 """Field of a record that decides how hard its episode is -> what a warning calls its values."""
 _STORED_RULES = "mechanism_preset"
 """Key of the mechanism rules in a log."""
+
+
+_LONGEST = 200
+_COUNT = json_fields.integer(0, 2**31)
+_POSITION = json_fields.number(-1e9, 1e9)
+_TEXT = json_fields.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
+_WORD = json_fields.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
+
+
+def _object_id(name: str, value: object) -> str:
+    try:
+        if isinstance(value, str) and len(value) <= _LONGEST:
+            (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
+            return value
+    except AdaManipError:
+        pass
+    raise ValueError(f"{name} is {reprlib.repr(value)}, not an object's id")
+
+
+def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
+    values = json_fields.either(json_fields.flag, _POSITION)
+    hidden: dict[str, HiddenValue] = json_fields.mapping(_WORD, values, 20)(name, value)
+    json_fields.flag(f"{name}.locked", hidden.get("locked", False))
+    return hidden
+
+
+def _try(name: str, value: object) -> TryMade:
+    joint, sign, failed = json_fields.listing(lambda _, entry: entry, 3, 3)(name, value)
+    return (
+        json_fields.integer(0, 20)(f"{name}[0]", joint),
+        json_fields.integer(-1, 1)(f"{name}[1]", sign),
+        json_fields.flag(f"{name}[2]", failed),
+    )
 
 
 @dataclass(frozen=True)
@@ -63,13 +91,13 @@ class Provenance:
         versions: installed versions, see `lerobot_adamanip.contract.versions.installed_versions`.
     """
 
-    simulation_version: int
-    version: str
-    mechanism_rules: str
-    run_id: str | None = None
-    run_label: str | None = None
-    evaluation: int = 0
-    versions: Mapping[str, str] = field(default_factory=dict)
+    simulation_version: Annotated[int, json_fields.integer(1, 10**6)]
+    version: Annotated[str, _TEXT]
+    mechanism_rules: Annotated[str, json_fields.choice(tuple(MECHANISM_RULES))]
+    run_id: Annotated[str | None, json_fields.optional(_TEXT)] = None
+    run_label: Annotated[str | None, json_fields.optional(json_fields.text(LABEL, "a label"))] = None
+    evaluation: Annotated[int, _COUNT] = 0
+    versions: Annotated[Mapping[str, str], json_fields.mapping(_TEXT, _TEXT, 30)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Raises an error for a label that a log cannot hold."""
@@ -112,29 +140,29 @@ class EpisodeRecord:
         provenance: software and run.
     """
 
-    seed: int
-    given_seed: int
-    split: str | None
-    object_id: str
-    object_split: str | None
-    hidden_state: Mapping[str, HiddenValue]
-    poses: str
-    success: bool
-    key_frames: int
-    max_key_frames: int
-    clipped_goals: int
-    try_sequence: tuple[TryMade, ...]
-    max_failed_tries: int | None
-    joints: Mapping[str, float] = field(default_factory=dict)
-    repeat: int = 0
-    sensing: str = EXACT
-    hints: float = 0.0
-    episode: int | None = None
-    seconds: float | None = None
-    self_calibration: bool = False
-    control: str = KEYFRAME
-    fps: int | None = None
-    provenance: Provenance
+    seed: Annotated[int, _COUNT]
+    given_seed: Annotated[int, _COUNT]
+    split: Annotated[str | None, json_fields.optional(json_fields.choice(tuple(SPLITS)))]
+    object_id: Annotated[str, _object_id]
+    object_split: Annotated[str | None, json_fields.optional(json_fields.choice(("seen", "unseen", "novel")))]
+    hidden_state: Annotated[Mapping[str, HiddenValue], _hidden_state]
+    poses: Annotated[str, json_fields.choice(POSES)]
+    success: Annotated[bool, json_fields.flag]
+    key_frames: Annotated[int, _COUNT]
+    max_key_frames: Annotated[int, _COUNT]
+    clipped_goals: Annotated[int, _COUNT]
+    try_sequence: Annotated[tuple[TryMade, ...], json_fields.listing(_try, 0, 10_000)]
+    max_failed_tries: Annotated[int | None, json_fields.optional(_COUNT)]
+    joints: Annotated[Mapping[str, float], json_fields.mapping(_TEXT, _POSITION, 50)] = field(default_factory=dict)
+    repeat: Annotated[int, _COUNT] = 0
+    sensing: Annotated[str, json_fields.text(SENSING_TEXT, "a level of sensing with its parts")] = EXACT
+    hints: Annotated[float, json_fields.number(0.0, 1.0)] = 0.0
+    episode: Annotated[int | None, json_fields.optional(_COUNT)] = None
+    seconds: Annotated[float | None, json_fields.optional(json_fields.number(0.0, 1e9))] = None
+    self_calibration: Annotated[bool, json_fields.flag] = False
+    control: Annotated[str, json_fields.choice(CONTROLS)] = KEYFRAME
+    fps: Annotated[int | None, json_fields.optional(_COUNT)] = None
+    provenance: Annotated[Provenance, json_fields.record(Provenance)]
 
     @property
     def category(self) -> str:
@@ -186,27 +214,28 @@ class EpisodeRecord:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the record as a flat JSON object; includes ``category`` for other tools."""
-        left_out = {"provenance", *(name for name, value in _OPTIONAL.items() if getattr(self, name) == value)}
-        own = {item.name: getattr(self, item.name) for item in fields(self) if item.name not in left_out}
+        items = [item for item in fields(self) if item.name != "provenance"]
+        own = {item.name: value for item in items if (value := getattr(self, item.name)) != item.default}
         mappings = {"hidden_state": dict(self.hidden_state), "joints": dict(self.joints)}
         tries = [list(each) for each in self.try_sequence]
-        provenance = {
-            _STORED_RULES if name == "mechanism_rules" else name: value
-            for name, value in asdict(self.provenance).items()
-        }
+        provenance = {key: getattr(self.provenance, name) for key, name in _PROVENANCE.items()}
         return {**own, "category": self.category, "try_sequence": tries, **mappings, **provenance}
 
     @classmethod
-    def from_json(cls, content: object) -> EpisodeRecord:
+    def from_json(cls, content: Any) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
-        values = _RECORD("the record", {**_OPTIONAL, **content} if isinstance(content, Mapping) else content)
-        values["mechanism_rules"] = values.pop(_STORED_RULES)
-        category = values.pop("category")
-        provenance = Provenance(**{item.name: values.pop(item.name) for item in fields(Provenance)})
-        record = cls(**values, provenance=provenance)
+        json_fields.table(_ALWAYS, {item.name for item in fields(cls)})("the record", content)
+        behind = {name: content[key] for key, name in _PROVENANCE.items()}
+        own = {name: value for name, value in content.items() if name not in _PROVENANCE and name != "category"}
+        record, category = _RECORD("the record", {**own, "provenance": behind}), content["category"]
         if category != record.category:
             raise ValueError(f"'category' is {category!r}, but the object is {record.object_id!r}")
         return record
+
+
+_RECORD = json_fields.record(EpisodeRecord)
+_PROVENANCE = {_STORED_RULES if item.name == "mechanism_rules" else item.name: item.name for item in fields(Provenance)}
+_ALWAYS: dict[str, json_fields.Check] = dict.fromkeys((*_PROVENANCE, "category", "joints"), lambda _, value: value)
 
 
 def new_run_id() -> str:
@@ -355,69 +384,3 @@ def hidden_names(category: str, hidden: Mapping[str, HiddenValue], boundaries: B
             yield f"{name} {'<' if value < boundary else '>='} {boundary:g}"
         else:
             yield f"{name} {value:+d}" if name == "direction" else f"{name} {value}"
-
-
-def _object_id(name: str, value: object) -> str:
-    try:
-        if isinstance(value, str) and len(value) <= _LONGEST:
-            (parse_asset_id if is_asset_id(value) else parse_object_id)(value)
-            return value
-    except AdaManipError:
-        pass
-    raise ValueError(f"{name} is {reprlib.repr(value)}, not an object's id")
-
-
-def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
-    values = json_fields.either(json_fields.flag, json_fields.number(-1e9, 1e9))
-    hidden: dict[str, HiddenValue] = json_fields.mapping(_WORD, values, 20)(name, value)
-    json_fields.flag(f"{name}.locked", hidden.get("locked", False))
-    return hidden
-
-
-def _try(name: str, value: object) -> TryMade:
-    joint, sign, failed = json_fields.listing(lambda _, entry: entry, 3, 3)(name, value)
-    return (
-        json_fields.integer(0, 20)(f"{name}[0]", joint),
-        json_fields.integer(-1, 1)(f"{name}[1]", sign),
-        json_fields.flag(f"{name}[2]", failed),
-    )
-
-
-_LONGEST = 200
-_COUNT = json_fields.integer(0, 2**31)
-_TEXT = json_fields.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
-_WORD = json_fields.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
-_RECORD = json_fields.table(
-    {
-        "seed": _COUNT,
-        "given_seed": _COUNT,
-        "split": json_fields.optional(json_fields.choice(tuple(SPLITS))),
-        "object_id": _object_id,
-        "object_split": json_fields.optional(json_fields.choice(("seen", "unseen", "novel"))),
-        "category": _WORD,
-        "hidden_state": _hidden_state,
-        "success": json_fields.flag,
-        "key_frames": _COUNT,
-        "max_key_frames": _COUNT,
-        "max_failed_tries": json_fields.optional(_COUNT),
-        "repeat": _COUNT,
-        "sensing": json_fields.text(SENSING_TEXT, "a level of sensing with its parts"),
-        "hints": json_fields.number(0.0, 1.0),
-        "episode": json_fields.optional(_COUNT),
-        "seconds": json_fields.optional(json_fields.number(0.0, 1e9)),
-        "self_calibration": json_fields.flag,
-        "control": json_fields.choice(CONTROLS),
-        "fps": json_fields.optional(_COUNT),
-        "poses": json_fields.choice(POSES),
-        "clipped_goals": _COUNT,
-        "try_sequence": json_fields.listing(_try, 0, 10_000),
-        "joints": json_fields.mapping(_TEXT, json_fields.number(-1e9, 1e9), 50),
-        "simulation_version": json_fields.integer(1, 10**6),
-        "version": _TEXT,
-        _STORED_RULES: json_fields.choice(tuple(MECHANISM_RULES)),
-        "run_id": json_fields.optional(_TEXT),
-        "run_label": json_fields.optional(json_fields.text(LABEL, "a label")),
-        "evaluation": _COUNT,
-        "versions": json_fields.mapping(_TEXT, _TEXT, 30),
-    }
-)
