@@ -86,8 +86,10 @@ def test_an_approaching_hand_stops_short_or_closes_on_nothing() -> None:
 
 def test_the_share_is_the_share() -> None:
     mistakes = Mistakes(0.3, np.random.default_rng(0))
-    goal = Goal(HERE, 1.0, Phase.RELEASE)
-    assert 0.25 < np.mean([mistakes.draw(goal, HELD) is not None for _ in range(2000)]) < 0.35
+    goal = Goal(HERE @ transform((0.0, 0.0, -0.1)), 1.0, Phase.RELEASE)
+    drawn = [mistakes.draw(goal, HELD) for _ in range(2000)]
+    assert 0.25 < np.mean([action is not None for action in drawn]) < 0.35
+    assert all(np.abs(action - goal.action()).max() > 0.02 for action in drawn if action is not None)
 
 
 def spec(**changes: Any) -> CollectionSpec:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -93,3 +94,12 @@ def test_files_that_are_not_there_are_one_clear_error(toy_root: Path, tmp_path: 
         read_demonstrations(SimpleNamespace(root=tmp_path))
     with pytest.raises(ConfigurationError, match=r"no complementary_info\.unheard_of"):
         read_columns(SimpleNamespace(root=toy_root), ("complementary_info.unheard_of", schema.STATE))
+
+
+def test_a_hand_that_closed_on_nothing_has_no_contact(adaptive_toy_root: Path) -> None:
+    demonstrations = read_demonstrations(SimpleNamespace(root=adaptive_toy_root))
+    rows = next(demonstrations.episodes())
+    contacts = demonstrations.contacts(rows)
+    empty = demonstrations.poses.copy()
+    empty[contacts[0].first, schema.GRIPPER_DIM] = 0.0
+    assert replace(demonstrations, poses=empty).contacts(rows) == contacts[1:]

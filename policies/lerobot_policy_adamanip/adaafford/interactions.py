@@ -46,9 +46,9 @@ class InteractionLabels:
 def label_interactions(demonstrations: Demonstrations, history: int, candidates: int) -> InteractionLabels:
     """Finds interactions, and assigns to each row the interactions that it can learn from.
 
-    An interaction is a key frame in contact (`ContactTracker`). A try that did not fail brought the object nearer to
-    open, because an expert never turns back. Its result holds at all rows of its stretch, in which nothing moved. The
-    way back of each motion is added as an interaction without success, although no expert tried it.
+    An interaction is a key frame in contact (`ContactTracker`). An expert's try that did not fail brought the object
+    nearer to open, because it never turns back; what else was sent is history only. The result holds at all rows of its
+    stretch, in which nothing moved. The way back of each motion is added as one without success, although not tried.
 
     A row keeps the latest ``history`` interactions before it, and up to ``candidates`` with a known result. Raises
     `ConfigurationError` if no try failed, or none moved anything.
@@ -96,7 +96,8 @@ def _interactions(demonstrations: Demonstrations, rows: slice, stretch: NDArray[
         opening = float(contact.grasp[GRIPPER_DIM])
         for row in range(contact.first, min(contact.end, rows.stop - 1)):
             start, reached = demonstrations.poses[row], demonstrations.poses[row + 1]
-            tried, failed = bool(demonstrations.tried[row] >= 0), bool(demonstrations.failed[row])
+            tried = bool(demonstrations.meant[row] and demonstrations.tried[row] >= 0)
+            failed = bool(demonstrations.failed[row])
             place, poses = row - rows.start, (start, demonstrations.commands[row], reached)
             known = int(stretch[place]) if tried else None
             yield _Interaction(poses, opening, tried and not failed, tried, place, known)

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND, OPEN_HAND
-from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, is_trained, read_columns
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
+from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, are_same_actions, is_trained, read_columns
 
 MIN_CLEARANCE_M = 0.05
 """A hand at least this far from a grasp does not hide the part."""
@@ -31,6 +31,7 @@ class Demonstrations:
         index, episode, task: (T,) int64, LeRobot's ``index``, ``episode_index`` and ``task_index``.
         poses: (T, 10) float32 tool pose and gripper before the row's command.
         commands: (T, 10) float32 executed pose.
+        meant: (T,) bool, whether the command is the expert's own: not a mistake, and not a policy's.
         tried: (T,) int64 joint that the command tried to move, -1 for none.
         failed: (T,) bool, whether that joint did not follow.
         success: (T,) bool, whether the task is done after the command.
@@ -44,6 +45,7 @@ class Demonstrations:
     task: NDArray[np.int64]
     poses: NDArray[np.float32]
     commands: NDArray[np.float32]
+    meant: NDArray[np.bool_]
     tried: NDArray[np.int64]
     failed: NDArray[np.bool_]
     success: NDArray[np.bool_]
@@ -82,15 +84,17 @@ class Demonstrations:
         return before
 
     def contacts(self, rows: slice) -> list[Contact]:
-        """Returns the contacts of an episode by its rows; see `find_contacts`."""
+        """Returns the contacts of an episode by its rows, see `find_contacts`, without hands that closed on nothing."""
         sent = slice(rows.start, rows.stop - int(self.final[rows.stop - 1]))
-        return find_contacts(self.poses[sent], self.commands[sent], first_row=rows.start)
+        contacts = find_contacts(self.poses[sent], self.commands[sent], first_row=rows.start)
+        held = np.append(self.poses[: rows.stop, schema.GRIPPER_DIM] >= EMPTY_HAND, True)
+        return [each for each in contacts if held[each.first] or not each.grasps]
 
 
 def read_demonstrations(dataset_meta: Any) -> Demonstrations:
     """Returns a dataset's columns; raises `ConfigurationError` as `read_columns` does."""
     numbers = (INDEX, EPISODE, "task_index", schema.TRIED, schema.FAILED, schema.SUCCESS, schema.DONE)
-    read = read_columns(dataset_meta, (*numbers, schema.STATE, schema.EXECUTED, schema.JOINTS))
+    read = read_columns(dataset_meta, (*numbers, schema.STATE, schema.ACTION, schema.EXECUTED, schema.JOINTS))
     index, episode, task, tried, failed, success, done = (read[key].reshape(-1) for key in numbers)
     last = np.append(np.diff(episode) != 0, True)
     return Demonstrations(
@@ -99,6 +103,7 @@ def read_demonstrations(dataset_meta: Any) -> Demonstrations:
         task.astype(np.int64),
         read[schema.STATE][:, : schema.ACTION_DIM],
         read[schema.EXECUTED],
+        are_same_actions(read[schema.ACTION], read[schema.EXECUTED]),
         tried.astype(np.int64),
         failed.astype(np.bool_),
         success.astype(np.bool_),
@@ -123,6 +128,11 @@ class Contact:
     grasp: NDArray[np.float32]
     first: int
     end: int
+
+    @property
+    def grasps(self) -> bool:
+        """Whether the hand closed in place; else it pushes."""
+        return bool(self.grasp[schema.GRIPPER_DIM] > 0)
 
 
 class ContactTracker:

@@ -20,7 +20,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, DONE, EXECUTED, POINT_CLOUD, STATE
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, DONE, EXECUTED, GOES_ON, OUTCOME, POINT_CLOUD, STATE
 from lerobot_adamanip.util.arrow import episode_bounds, numeric_array
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common import strokes
@@ -30,6 +30,11 @@ _logger = logging.getLogger(__name__)
 INDEX, EPISODE, TASK = "index", "episode_index", "task_index"
 IS_LABEL = "is_label"
 """Column of `read_recorded_rows`: whether a row's action is a training label."""
+DEPARTS = "departs"
+"""Column of `read_recorded_rows`: whether a key frame ends with the row in which something else was sent than its
+label, a mistake or a policy's action. Later rows answer a state that the labels before do not lead to."""
+SAME_ACTION = 0.02
+"""Actions are the same if no number differs by more [m, rotation 6D, opening; shares of a delta]."""
 IS_TRAINED = "is_trained"
 """Column of `read_recorded_rows`: whether a row's episode is trained on."""
 STROKE = "stroke"
@@ -214,12 +219,29 @@ def read_recorded_rows(dataset_meta: Any, *, has_strokes: bool = False) -> Recor
     that learnt it would stop a little before the goal.
     """
     executed = EXECUTED if EXECUTED in dataset_meta.features else ACTION
-    ends = (DONE,) if DONE in dataset_meta.features else ()
-    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *ends)))
-    done = columns.pop(DONE, np.zeros(len(columns[INDEX]))).reshape(-1).astype(np.bool_)
+    flags = [key for key in (DONE, OUTCOME) if key in dataset_meta.features]
+    columns = read_columns(dataset_meta, dict.fromkeys((INDEX, EPISODE, STATE, ACTION, executed, *flags)))
+    done, outcome = (columns.pop(key, np.zeros(len(columns[INDEX]))).reshape(-1) for key in (DONE, OUTCOME))
+    done = done.astype(np.bool_)
+    columns[DEPARTS] = _departures(columns[ACTION], columns[executed], done | (outcome != GOES_ON))
     masks = {IS_LABEL: ~done, IS_TRAINED: is_trained(dataset_meta, columns[EPISODE].reshape(-1))}
     columns |= {EXECUTED: columns[executed], **masks}
     return RecordedRows(columns | ({STROKE: _stroke_numbers(columns)} if has_strokes else {}))
+
+
+def are_same_actions(one: NDArray[Any], other: NDArray[Any]) -> NDArray[np.bool_]:
+    """Returns whether actions, each (R, A), are the same within `SAME_ACTION`, (R,)."""
+    same: NDArray[np.bool_] = (np.abs(one - other) <= SAME_ACTION).all(axis=1)
+    return same
+
+
+def _departures(action: NDArray[Any], executed: NDArray[Any], ends: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Returns `DEPARTS` (R,) of labels and sent actions, each (R, A); ``ends`` (R,): last rows of key frames."""
+    departed = np.append(0, np.cumsum(~are_same_actions(action, executed)))
+    last = np.flatnonzero(ends)
+    departs = np.zeros(len(ends), np.bool_)
+    departs[last] = np.diff(departed[last + 1], prepend=0) > 0
+    return departs
 
 
 def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:

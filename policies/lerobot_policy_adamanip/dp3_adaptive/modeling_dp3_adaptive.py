@@ -163,7 +163,8 @@ class DP3AdaptivePolicy(CloudPolicy):
     def training_window(self, batch: dict[str, Tensor]) -> tuple[Window, Tensor, Tensor]:
         """Returns the head's inputs, labels (B, T, A) and a mask of valid labels (B, T); see `forward`.
 
-        Past actions are the executed ones: where a policy drove, the labels are corrections.
+        Past actions are the executed ones: where a policy drove, the labels are corrections. A chunk's labels end where
+        one of its key frames was executed otherwise: the later ones answer a state that the chunk does not lead to.
         """
         recorded, steps = self.recorded, self.config.n_action_history_steps
         if recorded is None:
@@ -192,7 +193,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         if self._sees_from_tool and steps:
             states = self._prepared(batch, schema.STATE, recorded.column(schema.STATE, starts))
             observations[schema.STATE] = torch.cat([states, observations[schema.STATE]], dim=1)
-        is_label = exists & recorded.column(inputs.IS_LABEL, ahead)
+        departs = recorded.column(inputs.DEPARTS, ahead).int()
+        is_label = exists & recorded.column(inputs.IS_LABEL, ahead) & (departs.cumsum(dim=1) == departs)
         return Window(observations, actions[:, :steps], valid), actions[:, steps:], is_label
 
     def _prepared(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:

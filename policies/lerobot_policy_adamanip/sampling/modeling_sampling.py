@@ -93,6 +93,10 @@ class SamplingPolicy(AffordancePolicy):
             self._plans.append(row, self.draw_macro(cloud[row], pose[row]))
         return self._plans.pop()
 
+    def replace_latest(self, action: Tensor) -> None:
+        """Drops the remaining key frames, because another action (B, 10) was sent, which has moved the hand."""
+        self._plans.clear()
+
     @torch.no_grad()
     def predict_action_chunk(self, batch: dict[str, Tensor], **kwargs: Any) -> Tensor:
         """Returns a macro action (B, T, 10) for each observation, padded with its last key frame."""

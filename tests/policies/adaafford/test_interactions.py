@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -21,6 +22,22 @@ def demonstrations(adaptive_toy_root: Path) -> Demonstrations:
 @pytest.fixture
 def labels(demonstrations: Demonstrations) -> InteractionLabels:
     return label_interactions(demonstrations, 32, 32)
+
+
+def test_what_an_expert_did_not_mean_is_history_without_a_result(demonstrations: Demonstrations) -> None:
+    before = label_interactions(demonstrations, 32, 32)
+    row = int(np.flatnonzero(demonstrations.meant & (demonstrations.tried >= 0) & ~demonstrations.failed)[0])
+    meant = np.arange(len(demonstrations)) != row
+    after = label_interactions(replace(demonstrations, meant=meant), 32, 32)
+    number = next(each for each in range(len(before.moved)) if row_of(demonstrations, before, each) == row)
+    assert before.tried[number]
+    assert before.moved[number]
+    assert not after.tried[number]
+    assert not after.moved[number]
+    assert number not in after.candidates
+    assert (number in after.history) == (number in before.history)
+    assert before.moved.sum() - after.moved.sum() == 1
+    assert len(before.moved) - len(after.moved) == 1  # its way back
 
 
 def row_of(demonstrations: Demonstrations, labels: InteractionLabels, number: int) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +18,7 @@ import torch
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.pointcloud import as_points
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, IS_LABEL, read_recorded_rows
+from lerobot_policy_adamanip.common.inputs import DEPARTS, EPISODE, INDEX, IS_LABEL, read_recorded_rows
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions
 from lerobot_policy_adamanip.dp3_adaptive import modeling_dp3_adaptive
 
@@ -43,6 +44,35 @@ def test_what_lies_beyond_the_episodes_end_is_not_learned(make_tiny: MakeTiny, b
     # The U-Net sees padded rows beside real ones, so the prediction may differ; an error of 50 squared may not enter.
     assert losses[1].max() < 100
     assert torch.equal(losses[0][1], losses[1][1])
+
+
+def test_a_chunks_labels_end_where_something_else_was_sent(
+    make_toy_policy: MakeTiny, adaptive_toy_root: Path, batch_of: Any, tmp_path: Path
+) -> None:
+    root = Path(shutil.copytree(adaptive_toy_root, tmp_path / "mistaken"))
+    (file,) = (root / "data").rglob("*.parquet")
+    table = pq.read_table(file)
+    sent = np.stack(table[schema.EXECUTED].to_numpy())
+    sent[2, 0] += 0.1  # a mistake
+    sent[5, 0] += 0.001  # the same motion
+    field = table.schema.field(schema.EXECUTED)
+    place = table.schema.get_field_index(schema.EXECUTED)
+    pq.write_table(table.set_column(place, field, pa.array(list(sent), field.type)), file)
+    policy, before, _, dataset = make_toy_policy("dp3_adaptive", root)
+    _, _, real = policy.training_window(batch_of(dataset, before, 0, 1, 2, 3))
+    assert real.sum(dim=1).tolist() == [3, 2, 1, 4]
+
+
+def test_a_dense_chunks_labels_end_with_the_key_frame_that_was_executed_otherwise(tmp_path: Path) -> None:
+    pose, other = [0.0] * 10, [0.1] * 10
+    columns = {INDEX: range(7), EPISODE: [0] * 5 + [1] * 2, schema.STATE: [pose] * 7, schema.ACTION: [pose] * 7}
+    columns |= {schema.EXECUTED: [other, pose, pose, pose, pose, other, pose]}
+    columns |= {schema.OUTCOME: [-1, 0, -1, 1, -1, -1, -1], schema.DONE: [False] * 4 + [True, False, True]}
+    (tmp_path / "data").mkdir()
+    pq.write_table(pa.table(columns), tmp_path / "data" / "a.parquet")
+    recorded = read_recorded_rows(SimpleNamespace(root=tmp_path, features=columns))
+    ends = [False, True, False, False, False, False, True]
+    assert recorded.column(DEPARTS, torch.arange(7)).tolist() == ends
 
 
 def test_it_can_learn(make_tiny: MakeTiny, batch_of: Any) -> None:

@@ -177,3 +177,16 @@ def test_it_learns_to_take_hold_and_then_tries_everything(make: MakePolicy, batc
         play(policy, world, seed=seed, at_most=10)
         tried |= {(move.joint, move.sign) for move in world.moves if move is not None}
     assert {("cap", -1), ("cap", 1), ("lift", 1)} <= tried
+
+
+def test_another_action_than_its_own_ends_a_macro(make: MakePolicy) -> None:
+    policy, *_ = make()
+    drawn: list[int] = []
+    draw = policy.draw_macro
+    policy.draw_macro = lambda *seen: (drawn.append(1), draw(*seen))[1]
+    action = policy.select_action(seen_by(1.0))
+    policy.select_action(seen_by(1.0))
+    assert len(drawn) == 1
+    policy.replace_latest(action)
+    policy.select_action(seen_by(1.0))
+    assert len(drawn) == 2
