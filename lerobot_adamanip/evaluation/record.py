@@ -224,7 +224,8 @@ class EpisodeRecord:
     @classmethod
     def from_json(cls, content: Any) -> EpisodeRecord:
         """Returns the record in a decoded JSON object; raises ValueError that names the invalid field."""
-        json_fields.table(_ALWAYS, {item.name for item in fields(cls)})("the record", content)
+        if lacking := [key for key in _ALWAYS if not isinstance(content, Mapping) or key not in content]:
+            raise ValueError(f"the record lacks {', '.join(lacking)}")
         behind = {name: content[key] for key, name in _PROVENANCE.items()}
         own = {name: value for name, value in content.items() if name not in _PROVENANCE and name != "category"}
         record, category = _RECORD("the record", {**own, "provenance": behind}), content["category"]
@@ -235,7 +236,7 @@ class EpisodeRecord:
 
 _RECORD = json_fields.record(EpisodeRecord)
 _PROVENANCE = {_STORED_RULES if item.name == "mechanism_rules" else item.name: item.name for item in fields(Provenance)}
-_ALWAYS: dict[str, json_fields.Check] = dict.fromkeys((*_PROVENANCE, "category", "joints"), lambda _, value: value)
+_ALWAYS = (*_PROVENANCE, "category", "joints")
 
 
 def new_run_id() -> str:
