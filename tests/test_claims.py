@@ -172,6 +172,30 @@ def test_rules_beside_and_instead_of_the_memory_differ_as_said() -> None:
     assert text in DOCUMENTS["docs/memory.md"].replace(" points [", " [")
 
 
+def test_a_policy_that_never_had_a_memory_is_behind_by_what_is_said() -> None:
+    pair = "dp3_adaptive", "never_with_memory"
+    always, never = (of_training(method) for method in pair)
+    (kept, kept_within, *_), (opened, within, *_) = (counts(each).split(", ") for each in (always, never))
+    assert always.repeated
+    assert never.repeated
+    text = f"opens {opened} of 900, {within} within the tries, and repeats {never.repeated.count:,} of "
+    text += f"{never.repeated.episodes:,} failed tries; that training with its memory {kept}, {kept_within} and "
+    assert f"{text}{always.repeated.count} of {always.repeated.episodes}." in DOCUMENTS["docs/memory.md"]
+    within, opened = (gain(outcome, methods=pair).replace(" ", " points ", 1) for outcome in (WITHIN_TRIES, OPENED))
+    text = f"the memory opens {within} more within the tries, in success {opened.replace(' points', '')}"
+    assert text in DOCUMENTS["docs/memory.md"]
+    assert f"is {within.replace('+', '').replace(' [', ' [', 1)} behind" in DOCUMENTS["README.md"]
+    gaps = {name: gap(WITHIN_TRIES, categories=[name], methods=pair) for name in CATEGORIES}
+    for name in CATEGORIES:
+        assert (
+            f"{name.replace('_', ' ')}s {gain(WITHIN_TRIES, categories=[name], methods=pair)}"
+            in DOCUMENTS["docs/memory.md"]
+        )
+    larger = sorted(round(100 * each.difference) for each in gaps.values() if each.low > 0)
+    assert (len(larger), larger[0], larger[-1]) == (6, 20, 50)
+    assert "six categories by 20 to 50" in DOCUMENTS["README.md"]
+
+
 def test_the_twin_opens_what_the_evaluation_opened() -> None:
     (row,) = read_result(ROOT / "results" / "first_number.json").rows
     opened = {each.seed: each.success for each in read_log(ROOT / "results" / "twin" / "first_number.jsonl")}
