@@ -42,11 +42,11 @@ They are those of the commit below each table; later versions may spell them oth
 """
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
-![Success by method and category, with intervals, scale test](images/benchmark_success.png)
+![Opened within the best strategy's tries, by method and category, with intervals, scale test](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 
-![Success at control rate, scale control_rate](images/benchmark_control_rate.png)
+![Opened within the tries at control rate, scale control_rate](images/benchmark_control_rate.png)
 
 ![Training losses at control rate; an interrupted training has none](images/benchmark_control_rate_losses.png)
 """

@@ -63,27 +63,35 @@ def _colors(count: int) -> Sequence[Any]:
 
 
 def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
-    """Draws success with intervals by method and category, one panel per split; dashes mark the paper's values."""
+    """Draws a bar with its interval for each method and category, one panel per split with the methods that it has.
+
+    Beside the paper's numbers, which dashes mark, bars show success; else success within the best strategy's tries.
+    """
     methods, categories = report.methods, report.categories_with_results
+    measure, title = ("success", "Success") if report.beside_paper else ("within_best_tries", "Opened within the tries")
+    colors, labels = dict(zip(methods, _colors(len(methods)), strict=False)), dict[str, Any]()
     figure = new_figure(max(8.0, 3 + 0.16 * len(methods) * len(categories)), 3.4 * len(report.splits))
     panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
     for axes, objects in zip(panels, report.splits, strict=True):
-        axes.set_prop_cycle(color=_colors(len(methods)))
+        here = [name for name in methods if any((name, each, objects) in report.entries for each in categories)]
+        axes.set_prop_cycle(color=[colors[name] for name in here])
         bars = {}
-        for number, name in enumerate(methods):
+        for number, name in enumerate(here):
             entries = [report.entries.get((name, category, objects)) for category in categories]
-            bars[report.titles[name]] = [rate(0, 0) if entry is None else entry.metrics.success for entry in entries]
-            places, width = bar_places(number, len(methods), len(categories))
+            rates = [None if entry is None else getattr(entry.metrics, measure) for entry in entries]
+            bars[report.titles[name]] = [rate(0, 0) if each is None else each for each in rates]
+            places, width = bar_places(number, len(here), len(categories))
             for x, category in zip(places, categories, strict=True):
                 paper = reported(report.paper[name], category) if objects == PAPER_OBJECTS else None
                 if paper is not None:
                     axes.plot([x - width / 2, x + width / 2], [paper[0]] * 2, "--", color="black", linewidth=1.0)
         draw_bars(axes, [words(category) for category in categories], bars)
-        axes.set_ylabel(f"success [%], {objects} objects")
-    handles, labels = panels[0].get_legend_handles_labels()
+        axes.set_ylabel(f"{objects} objects [%]")
+        labels |= {label: handle for handle, label in zip(*axes.get_legend_handles_labels(), strict=True)}
     columns = max(1, int(figure.get_figwidth() / _LEGEND_COLUMN_INCH))
-    figure.legend(handles, labels, loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+    handles = list(labels.values())
+    figure.legend(handles, list(labels), loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
     path = folder / "success.png"
     dashes = "; dashes: in the paper" if report.beside_paper else ""
-    save_figure(figure, f"Success with 95 % Wilson intervals{dashes}", path)
+    save_figure(figure, f"{title} with 95 % Wilson intervals{dashes}", path)
     return path
