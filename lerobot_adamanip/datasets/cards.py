@@ -26,7 +26,7 @@ from lerobot_adamanip.contract.control import (
     JOINT,
     STATES,
 )
-from lerobot_adamanip.contract.memory import EVENTS, MEMORY, SO_FAR, TEXT
+from lerobot_adamanip.contract.memory import MEMORY, NO_MEMORY
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.datasets.attempts import attempts_path, grouped_by_hidden_value, read_attempts
@@ -215,8 +215,7 @@ def _dense_fields(dataset: Dataset, manifest: Manifest | None) -> dict[str, obje
         options["image_size"] = height
         options |= {} if cameras == list(CAMERAS) else {"cameras": f"'[{','.join(cameras)}]'"}
     options |= {"observe_cloud": "true"} if has_cloud else {}
-    is_told = any(SO_FAR in task for task in dataset.tasks.values())
-    options |= {"memory": EVENTS} if MEMORY in dataset.features else {"memory": TEXT} if is_told else {}
+    options |= {"memory": dataset.memory} if dataset.memory != NO_MEMORY else {}
     if manifest is not None:
         made = manifest.spec.environment
         options |= {"image_source": made.images_from} if cameras else {}

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import FRONT
+from lerobot_adamanip.contract.memory import EVENTS, MEMORY, NO_MEMORY, SO_FAR, TEXT
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace
 from lerobot_adamanip.datasets.collection_spec import columns_of, manifest_path
 from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
@@ -155,6 +156,17 @@ class Dataset:
     def workspace(self) -> Workspace:
         """Workspace of the clouds."""
         return workspace_of(self.root, self.features)
+
+    @property
+    def memory(self) -> str:
+        """Memory of felt tries, of `contract.memory.MEMORIES`.
+
+        Tasks without a sentence do not exclude ``text``: the sentence begins with the first felt try.
+        """
+        if MEMORY in self.features:
+            return EVENTS
+        is_text = _manifest_environment(self.root).get("memory") == TEXT
+        return TEXT if is_text or any(SO_FAR in task for task in self.tasks.values()) else NO_MEMORY
 
     @cached_property
     def tasks(self) -> dict[int, str]:
@@ -464,13 +476,18 @@ def _decoded(path: Path) -> int:
 def workspace_of(root: Path, features: Mapping[str, Any]) -> Workspace:
     """Returns the workspace of a dataset's clouds: from the manifest, the column's description, or the default."""
     box: Any = (features.get(schema.POINT_CLOUD, {}).get("info") or {}).get("workspace")
-    if manifest_path(root).exists():
-        with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` reports errors
-            box = read(manifest_path(root))["collection"]["environment"]["workspace"]
+    box = _manifest_environment(root).get("workspace", box)
     try:
         return DEFAULT_WORKSPACE if box is None else Workspace(tuple(box["lower"]), tuple(box["upper"]))
     except (KeyError, TypeError, ValueError):
         return DEFAULT_WORKSPACE
+
+
+def _manifest_environment(root: Path) -> dict[str, Any]:
+    """Returns the environment of a dataset's manifest, unchecked; empty if there is none or it is damaged."""
+    with contextlib.suppress(OSError, ValueError, KeyError, TypeError):  # `read_manifest` reports errors
+        return dict(read(manifest_path(root))["collection"]["environment"])
+    return {}
 
 
 def camera_of(features: Mapping[str, Any]) -> str:

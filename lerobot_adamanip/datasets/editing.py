@@ -318,7 +318,7 @@ def _contents(source: Dataset) -> Iterator[_Content]:
 
 
 def _require_equal_features(sources: Sequence[Dataset]) -> None:
-    """Raises `DatasetError` if types or shapes of features, or frame rates differ; other descriptions may.
+    """Raises `DatasetError` if types or shapes of features, frame rates or memories differ; other descriptions may.
 
     Only recordings have the column `ARM`, which `compose` leaves out beside simulated demonstrations.
     """
@@ -326,14 +326,15 @@ def _require_equal_features(sources: Sequence[Dataset]) -> None:
     for source in sources:
         features = {key: feature for key, feature in source.features.items() if key != ARM}
         shapes = {key: (feature["dtype"], tuple(feature["shape"])) for key, feature in features.items()}
-        kinds.append({"fps": source.fps} | shapes)
+        kinds.append({"fps": source.fps, "memory": source.memory} | shapes)
     for source, other in zip(sources[1:], kinds[1:], strict=True):
         if differing := sorted(key for key in {**kinds[0], **other} if kinds[0].get(key) != other.get(key)):
             raise DatasetError(
                 "Datasets with different features cannot be merged.",
                 got=f"{source.root.name} has {', '.join(differing[:3])} unlike {sources[0].root.name}",
-                allowed="the same columns with the same shapes",
-                hint="`adamanip keyframes` for recordings, `adamanip render` for pictures; the same --num-points",
+                allowed="the same columns with the same shapes, and the same memory",
+                hint="`adamanip keyframes` for recordings, `adamanip render` for pictures, `adamanip memory`;"
+                " the same --num-points",
             )
 
 

@@ -16,7 +16,7 @@ from lerobot_adamanip.contract.control import DENSE, KEYFRAME, STATES
 from lerobot_adamanip.contract.memory import (
     EVENTS,
     MEMORY,
-    SO_FAR,
+    NO_MEMORY,
     TEXT,
     check_memory,
     instruction_of,
@@ -89,7 +89,7 @@ def _addition(source: Dataset, form: str) -> Addition:
     """Returns the memory's column, or its changed tasks; raises `DatasetError` if the dataset cannot have it."""
     features = source.features
     states = [(len(names),) for names in STATES.values()]
-    has_memory = MEMORY in features or any(SO_FAR in task for task in source.tasks.values())
+    has_memory = source.memory != NO_MEMORY
     if has_memory or tuple(features[schema.STATE]["shape"]) not in states:
         got = "a memory already" if has_memory else f"{schema.STATE} of shape {features[schema.STATE]['shape']}"
         raise DatasetError(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import shutil
@@ -16,9 +17,11 @@ from lerobot.datasets.dataset_writer import DatasetWriter
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.memory import TEXT
 from lerobot_adamanip.datasets import cutting
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.editing import filter_episodes, merge, split_episodes
+from lerobot_adamanip.datasets.memory import add_memory
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
 from lerobot_adamanip.util.errors import AdaManipError
@@ -190,6 +193,27 @@ def test_what_cannot_be_merged_is_one_clear_error_and_leaves_nothing(
         with pytest.raises(AdaManipError, match=said):
             merge(parts, tmp_path / "new")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["high", "merged", "part", "third"]
+
+
+@pytest.mark.parametrize("has_manifest", [True, False])
+def test_episodes_with_a_memory_in_their_tasks_are_not_merged_with_those_without(
+    unpictured: Path, tmp_path: Path, has_manifest: bool
+) -> None:
+    split_episodes(unpictured, tmp_path / "parts", HALVES)
+    plain, silent = tmp_path / "parts" / "one", tmp_path / "silent"
+    add_memory(tmp_path / "parts" / "other", tmp_path / "text", TEXT)
+    manifest = (tmp_path / "text" / "meta" / "collection.json").read_bytes()
+    for root in (tmp_path / "text", plain)[: 0 if has_manifest else 2]:
+        (root / "meta" / "collection.json").unlink()
+    for roots in itertools.permutations((plain, tmp_path / "text")):
+        with pytest.raises(AdaManipError, match=r"has memory unlike(.|\n)*adamanip memory"):
+            merge(roots, tmp_path / "new")
+    # Nobody has felt a try yet in a part whose manifest alone says that it has a memory.
+    shutil.copytree(plain, silent)
+    (silent / "meta" / "collection.json").write_bytes(manifest)
+    with pytest.raises(AdaManipError, match="a memory already"):
+        add_memory(silent, tmp_path / "twice", TEXT)
+    assert merge([silent, tmp_path / "text"], tmp_path / "new").whole
 
 
 @pytest.mark.parametrize("driver", ["static", "dp3_adaptive"])
