@@ -94,7 +94,8 @@ def scan(files: Mapping[str, Path], names: Names, *, owner: str = "") -> list[Pr
         elif suffix == ".parquet":
             texts = _parquet_texts(name, path)
         else:
-            texts = iter([name, path.read_text(encoding="utf-8", errors="replace")])
+            texts = iter([path.read_text(encoding="utf-8", errors="replace")])
+        items += _search(name, name, names, owner, binary=False)
         items += (item for text in texts for item in _search(name, text, names, owner, binary=binary))
     return list(dict.fromkeys(items))
 
@@ -144,7 +145,6 @@ def _our_words() -> frozenset[str]:
 
 
 def _parquet_texts(name: str, path: Path) -> Iterator[str]:
-    yield name
     try:
         file = pq.ParquetFile(path)
         yield str(file.metadata.created_by)

@@ -55,6 +55,9 @@ HIDING = {
     "a host of a network": ("a.md", b"trained on gpu-03.local", "host"),
     "a host by its key": ("a.json", b'{"hostname": "platypus"}', "host"),
     "a file's name": ("wanda.json", b"{}", "user"),
+    "a table's name": ("wanda.parquet", parquet, "user"),
+    "a picture's name": ("wanda.png", b"\x89PNG", "user"),
+    "an address in a video's name": ("of someone.else@lab-x.edu.mp4", b"\0", "e-mail"),
 }
 
 
