@@ -169,7 +169,7 @@ def with_annotation(folder: Path, **changes: object) -> Path:
     return folder
 
 
-NAN = float("nan")
+NAN, NO_FLOAT = float("nan"), 10**400
 SLANTED = [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 DOOR, KNOB = safe_annotation()["joints"]["door"], safe_annotation()["joints"]["knob"]
 HANDLE, KNOB_PART = safe_annotation()["parts"]["handle"], safe_annotation()["parts"]["knob"]
@@ -184,12 +184,16 @@ FAR = np.block([[np.eye(3), np.full((3, 1), 2.0)], [np.zeros(3), 1]]).tolist()
         ({"category": "lamp"}, "another category"),
         ({"scale": NAN}, "cannot be"),
         ({"scale": 0}, "cannot be"),
+        ({"scale": NO_FLOAT}, "cannot be"),
         ({"scale": 30.0}, "of a size"),
         ({"object_in_urdf": SLANTED}, "cannot be"),
         ({"object_in_urdf": [[1, 2], [3, 4]]}, "cannot be"),
+        ({"object_in_urdf": [[1, 0, 0, NO_FLOAT], *SLANTED[1:]]}, "cannot be"),
         ({"joints": {"door": DOOR}}, "without knob"),
         ({"joints": {"door": DOOR, "knob": {**KNOB, "open": 0.0}}}, "cannot be"),
         ({"joints": {"door": DOOR, "knob": {**KNOB, "rest": NAN}}}, "cannot be"),
+        ({"joints": {"door": DOOR, "knob": {**KNOB, "rest": NO_FLOAT}}}, "cannot be"),
+        ({"joints": {"door": {**DOOR, "open": 1e300}, "knob": KNOB}}, "cannot be"),
         ({"joints": {"door": DOOR, "knob": DOOR}}, "not two of its own"),
         ({"joints": {"door": DOOR, "knob": {**KNOB, "joint": "joint_9"}}}, "not two of its own"),
         ({"joints": []}, "incomplete"),
@@ -198,6 +202,7 @@ FAR = np.block([[np.eye(3), np.full((3, 1), 2.0)], [np.zeros(3), 1]]).tolist()
         ({"parts": {"handle": {**HANDLE, "link": "link_1"}, "knob": KNOB_PART}}, "moves with nothing"),
         ({"parts": {"handle": {**HANDLE, "grasp": FAR}, "knob": KNOB_PART}}, "outside of the object"),
         ({"parts": {"handle": {**HANDLE, "rolls": []}, "knob": KNOB_PART}}, "cannot be"),
+        ({"parts": {"handle": {**HANDLE, "rolls": [NO_FLOAT]}, "knob": KNOB_PART}}, "cannot be"),
         ({"parts": {"handle": {**HANDLE, "grasp": "here"}, "knob": KNOB_PART}}, "cannot be"),
     ],
 )

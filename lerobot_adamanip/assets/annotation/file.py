@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,11 +16,12 @@ from lerobot_adamanip.contract.rotations import transform
 from lerobot_adamanip.objects.base import TWO_FINGERS, Pose
 from lerobot_adamanip.util.errors import require_choice
 from lerobot_adamanip.util.files import write_atomically
-from lerobot_adamanip.util.json_fields import read
+from lerobot_adamanip.util.json_fields import listing, number, read
 
 ANNOTATION_NAME = "adamanip.json"
 """File that `adamanip annotate` writes beside a URDF."""
 FORMAT, VERSION = "adamanip-annotation", 1
+_NUMBER = number(-HUGE, HUGE)
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ def read_annotation(path: Path, category: str) -> Annotation:
             category,
             {r.name: _joint_from_json(joints[r.name]) for r in roles.joints},
             {r.name: _part_from_json(parts[r.name]) for r in roles.parts},
-            _scale(content["scale"]),
+            float(number(1 / HUGE, HUGE)("scale", content["scale"])),
             pose_from_json(content["object_in_urdf"]),
         )
     except (KeyError, TypeError, ValueError) as error:
@@ -116,9 +116,7 @@ def save_annotation(path: Path, annotation: Annotation) -> None:
 
 def pose_from_json(value: Any) -> Pose:
     """Returns a (4, 4) rigid transform from nested lists; raises ValueError if it is invalid."""
-    pose = np.array(value, dtype=np.float64)
-    if pose.shape != (4, 4) or not np.isfinite(pose).all() or np.abs(pose).max() > HUGE:
-        raise ValueError(f"not a finite (4, 4) transform: {value}")
+    pose = np.array(listing(listing(_NUMBER, 4, 4), 4, 4)("the transform", value), dtype=np.float64)
     turn = pose[:3, :3]
     rigid = np.allclose(turn @ turn.T, np.eye(3), atol=1e-3) and np.linalg.det(turn) > 0
     if not rigid or not np.allclose(pose[3], (0, 0, 0, 1)):
@@ -128,21 +126,12 @@ def pose_from_json(value: Any) -> Pose:
 
 
 def _joint_from_json(value: Any) -> JointChoice:
-    choice = JointChoice(str(value["joint"]), float(value["rest"]), float(value["open"]))
-    if not (math.isfinite(choice.rest) and math.isfinite(choice.open)) or choice.rest == choice.open:
-        raise ValueError(f"joint {choice.joint}: rest {choice.rest} and open {choice.open} are equal or not finite")
-    return choice
+    rest, opened = (float(_NUMBER(name, value[name])) for name in ("rest", "open"))
+    if rest == opened:
+        raise ValueError(f"joint {value['joint']}: rest and open are equal, {rest}")
+    return JointChoice(str(value["joint"]), rest, opened)
 
 
 def _part_from_json(value: Any) -> PartChoice:
-    rolls = tuple(float(roll) for roll in value["rolls"])
-    if not rolls or not all(map(math.isfinite, rolls)) or len(rolls) > 64:
-        raise ValueError(f"rolls are {rolls}, not 1 to 64 finite angles")
+    rolls = tuple(map(float, listing(_NUMBER, 1, 64)("rolls", value["rolls"])))
     return PartChoice(str(value["link"]), pose_from_json(value["grasp"]), "object", rolls)
-
-
-def _scale(value: Any) -> float:
-    scale = float(value)
-    if not (math.isfinite(scale) and 1e-4 < scale < 1e4):
-        raise ValueError(f"scale is {scale}, not a number from 0.0001 to 10000")
-    return scale
