@@ -125,6 +125,9 @@ def test_a_result_comes_back_as_it_was_and_holds_no_path_of_this_machine(tmp_pat
     write_result(tmp_path / "results" / "one.json", one)
     assert read_result(tmp_path / "results" / "one.json") == one
     assert re.fullmatch(r"[0-9a-f]{40}", one.commit or "0" * 40)
+    with pytest.raises(ConfigurationError, match="No closing quotation"):
+        write_result(tmp_path / "quote.json", result(command="lerobot-eval --job_name=bob's"))
+    assert not (tmp_path / "quote.json").exists()
     with pytest.raises(ConfigurationError, match="must run elsewhere"):
         make_result([], kind="policy", title="x", command=f"eval --path={tmp_path}/x", seeds=[1], scenes="test")
 

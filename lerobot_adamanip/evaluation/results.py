@@ -382,7 +382,7 @@ def write_result(path: Path, result: ResultFile) -> None:
         raise ConfigurationError(
             "These values make no result file.",
             got=error,
-            allowed="labels and a title of one line without |, a command of one line without backquotes",
+            allowed="labels and a title of one line without |, a command that a shell can read, without backquotes",
             hint="adamanip report LOG --label NAME --title TITLE",
         ) from error
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -418,6 +418,5 @@ def parse_result(content: object) -> ResultFile:
     for command in commands:
         if _PRIVATE_PATH.search(command):
             raise ValueError("command holds a path of one machine")
-        if result.run is not None:
-            shlex.split(command)
+        shlex.split(command)
     return result
