@@ -21,9 +21,9 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
 from lerobot_adamanip.contract.schema import POINT_CLOUD
 from lerobot_adamanip.datasets.appending import append_rows, can_append
 from lerobot_adamanip.datasets.cutting import cut_episode
-from lerobot_adamanip.datasets.dataset import Dataset, camera_of, read_back
+from lerobot_adamanip.datasets.dataset import TASKS, Dataset, camera_of, read_back
 from lerobot_adamanip.datasets.encoding import quieten, video_encoder
-from lerobot_adamanip.datasets.opening import as_typed, plain_feature
+from lerobot_adamanip.datasets.opening import as_typed, damaged, plain_feature
 from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.selection import Selection, write_selection
 from lerobot_adamanip.datasets.statistics import compute_statistics, write_statistics
@@ -151,7 +151,10 @@ def _create(out: Path, info: Mapping[str, Any], repo_id: str) -> Any:
 def _append(dataset: Any, schema: pa.Schema, source: Dataset, index: int, addition: Addition) -> int:
     episode = source.episodes[index]
     table = source.rows(episode)
-    tasks = [source.tasks[index] for index in table["task_index"].to_pylist()]
+    numbers = table["task_index"].to_pylist()
+    if unknown := set(numbers) - source.tasks.keys():
+        raise damaged(source.root, f"{TASKS}: lacks task {unknown.pop()} of episode {episode.number}")
+    tasks = [source.tasks[number] for number in numbers]
     videos = {
         key: cut_episode(source.root, key, feature, episode.row, source.fps)
         for key, feature in dataset.meta.features.items()

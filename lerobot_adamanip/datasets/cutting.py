@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, encoder_like
-from lerobot_adamanip.datasets.opening import VIDEO_PATH
+from lerobot_adamanip.datasets.opening import VIDEO_PATH, damaged, first_line
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import open_mp4
 
@@ -22,8 +22,10 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
     LeRobot's own cutting.
 
     Raises:
-        DatasetError: the video has too few frames, or would be re-encoded and is depth or of an unknown codec.
+        DatasetError: the video is damaged or too short, or would be re-encoded and is depth or of an unknown codec.
     """
+    import av
+
     chunk, file, begin, end = (
         row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index", "from_timestamp", "to_timestamp")
     )
@@ -31,9 +33,12 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
     span = (round(begin * fps), round(end * fps))
     with tempfile.TemporaryDirectory(prefix="adamanip-") as scratch:
         cut = Path(scratch) / "episode.mp4"
-        frames = _copied(path, cut, span, fps, (feature.get("info") or {}).get("video.codec"))
-        if frames is None:
-            frames = _encoded_anew(path, cut, span, fps, feature)
+        try:
+            frames = _copied(path, cut, span, fps, (feature.get("info") or {}).get("video.codec"))
+            if frames is None:
+                frames = _encoded_anew(path, cut, span, fps, feature)
+        except (av.FFmpegError, IndexError) as error:
+            raise damaged(root, f"{path.relative_to(root)}: {first_line(error)}") from error
         if frames != row["length"]:
             raise DatasetError(
                 "A video does not fit its episode.",

@@ -8,6 +8,7 @@ import re
 import shutil
 from pathlib import Path
 
+import av
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -265,8 +266,6 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
 
 
 def frames(path: Path) -> np.ndarray:
-    import av
-
     with av.open(str(path)) as container:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
 
@@ -274,20 +273,42 @@ def frames(path: Path) -> np.ndarray:
 # Damage -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("damage", ["a short video", "swapped rows"])
+DAMAGES = {
+    "a short video": "does not fit its episode",
+    "half a video": r"half written or damaged(.|\n)*file-000\.mp4: ",
+    "no video where it should be": r"half written or damaged(.|\n)*file-000\.mp4: .*No such file",
+    "no picture in a video": r"half written or damaged(.|\n)*file-000\.mp4: ",
+    "swapped rows": "episode 0: its rows are not where they",
+    "a missing task": r"half written or damaged(.|\n)*tasks\.parquet: lacks task 0 of episode 0",
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_damage_is_named_and_leaves_nothing(finished: Path, tmp_path: Path, damage: str) -> None:
     copy = Path(shutil.copytree(finished, tmp_path / "copy"))
+    (file,) = (copy / "videos").rglob("*.mp4")
     if damage == "a short video":
-        (file,) = (copy / "videos").rglob("*.mp4")
         cutting._copied(file, tmp_path / "short.mp4", (0, 10), schema.FPS)
         shutil.move(tmp_path / "short.mp4", file)
+    elif damage == "half a video":
+        file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    elif damage == "no video where it should be":
+        file.rename(file.with_name("file-007.mp4"))
+    elif damage == "no picture in a video":
+        with av.open(str(file), "w") as container:
+            container.add_stream("aac", 8000)
+            container.start_encoding()
+    elif damage == "a missing task":
+        table = pq.read_table(copy / "meta" / "tasks.parquet")
+        numbers = pa.array([7] * len(table), pa.int64())
+        at = table.schema.get_field_index("task_index")
+        pq.write_table(table.set_column(at, "task_index", numbers), copy / "meta" / "tasks.parquet")
     else:
         (path,) = (copy / "data").rglob("*.parquet")
         table = pq.read_table(path)
         at = table.schema.get_field_index("episode_index")
         pq.write_table(table.set_column(at, "episode_index", [table["episode_index"].to_pylist()[::-1]]), path)
-    said = {"a short video": "does not fit its episode", "swapped rows": "episode 0: its rows are not where they"}
-    with pytest.raises(AdaManipError, match=said[damage]):
+    with pytest.raises(AdaManipError, match=DAMAGES[damage]):
         filter_episodes(copy, [], tmp_path / "part")
     assert not (tmp_path / "part").exists()
 
