@@ -13,6 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from lerobot_adamanip.datasets.encoding import PreparedEpisode
+from lerobot_adamanip.datasets.opening import VIDEO_PATH
+from lerobot_adamanip.util.video import decoding_delay
 
 _WRITER_PARTS = (
     "_current_file_start_frame", "_latest_episode", "_pq_writer", "_recorded_frames", "_root", "_save_episode_video",
@@ -89,9 +91,18 @@ def append_rows(
     for key, content in videos.items():
         path = Path(tempfile.mkdtemp(dir=dataset.root)) / f"{key}_{number:03d}.mp4"
         path.write_bytes(content)
+        size = meta.info.video_files_size_in_mb
+        if number and decoding_delay(path) != decoding_delay(_latest_video(meta, key)):
+            meta.info.video_files_size_in_mb = 0  # a new file: packets could precede those before them
         metadata.update(writer._save_episode_video(key, number, temp_path=path))
+        meta.info.video_files_size_in_mb = size
     meta.save_episode(number, length, tasks, ordered, metadata)
     return length
+
+
+def _latest_video(meta: Any, key: str) -> Path:
+    chunk, file = (meta.latest_episode[f"videos/{key}/{name}"][0] for name in ("chunk_index", "file_index"))
+    return Path(meta.root / VIDEO_PATH.format(video_key=key, chunk_index=chunk, file_index=file))
 
 
 def _with_columns(table: pa.Table, columns: Mapping[str, Any]) -> pa.Table:

@@ -31,6 +31,13 @@ def open_mp4(path: Path) -> Any:
     return av.open(str(path), format="mp4")
 
 
+def decoding_delay(path: Path) -> float:
+    """Returns how long before it is shown the first frame of a video is decoded [s]; above 0 with B-frames."""
+    with open_mp4(path) as container:
+        packet = next(container.demux(video=0))
+        return float((packet.pts - packet.dts) * packet.time_base)
+
+
 def write_video(path: str | Path, frames: Iterable[NDArray[np.uint8]], fps: float) -> Path:
     """Writes (H, W, 3) RGB frames of one, even size as H.264; returns the path. Raises `ValueError` without frames."""
     import av

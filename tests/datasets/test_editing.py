@@ -15,6 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from demos_helpers import another
 from lerobot.datasets.dataset_writer import DatasetWriter
+from lerobot.datasets.video_utils import concatenate_video_files
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
@@ -263,6 +264,42 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     (tmp_path / "anew.mp4").write_bytes(anew)
     difference = np.abs(frames(tmp_path / "anew.mp4").astype(int) - seen[first : first + length])
     assert difference.max() < 12
+
+
+@pytest.mark.parametrize("order", [(0, 2), (2, 0)])
+def test_videos_with_and_without_b_frames_are_copied_in_any_order(
+    finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, order: tuple[int, int]
+) -> None:
+    monkeypatch.setattr(cutting, "_encoded_anew", lambda *_: pytest.fail("pictures were encoded again"))
+    shutil.copytree(finished, tmp_path / "one")
+    another(finished, tmp_path / "other")
+    seen = []
+    for name, b_frames in zip(("one", "other"), order, strict=True):
+        seen += encode_with_b_frames(tmp_path / name, b_frames)
+    merge([tmp_path / "one", tmp_path / "other"], tmp_path / "both")
+    filter_episodes(tmp_path / "both", [], tmp_path / "again")
+    for name in ("both", "again"):
+        files = sorted((tmp_path / name / "videos").rglob("*.mp4"))
+        assert len(files) == 2
+        np.testing.assert_array_equal(np.concatenate([frames(path) for path in files]), np.concatenate(seen))
+        assert Dataset(tmp_path / name).info["video_files_size_in_mb"] > 0
+
+
+def encode_with_b_frames(root: Path, count: int) -> list[np.ndarray]:
+    """Encodes a dataset's video again, each episode by itself as LeRobot does; returns the frames of each."""
+    (file,) = (root / "videos").rglob("*.mp4")
+    pictures, parts = frames(file), []
+    for episode in Dataset(root).episodes:
+        parts.append(root.with_name(f"{root.name}-{episode.number}.mp4"))
+        with av.open(str(parts[-1]), "w") as container:
+            stream = container.add_stream("libx264", schema.FPS, options={"bf": str(count)})
+            stream.height, stream.width = pictures.shape[1:3]
+            for picture in (*pictures[episode.start : episode.end], None):
+                container.mux(stream.encode(None if picture is None else av.VideoFrame.from_ndarray(picture)))
+    concatenate_video_files(parts, file)
+    path = root / "meta" / "info.json"
+    path.write_text(path.read_text().replace('"video.codec": "av1"', '"video.codec": "h264"'))
+    return [frames(part) for part in parts]
 
 
 def frames(path: Path) -> np.ndarray:
