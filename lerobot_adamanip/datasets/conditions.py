@@ -5,6 +5,7 @@ Conditions are parsed, not executed.
 
 from __future__ import annotations
 
+import itertools
 import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
@@ -36,8 +37,8 @@ def episode_values(dataset: Dataset) -> DataFrame:
     """Returns a table with one row per episode and one column per value; None is an unknown value.
 
     The columns are the scalar columns of ``meta/episodes`` and derived values: ``category`` and ``object_split`` (seen,
-    unseen, novel) of its object, ``task``, ``key_frames`` (their number), ``recoveries`` (failed tries followed by
-    a successful one), and its hidden state, for example ``hidden.locked``.
+    unseen, novel) of its object, ``task``, ``key_frames`` (their number), ``recoveries`` (failed tries followed by a
+    successful one, where its ``episode_record`` lists the tries), and its hidden state, for example ``hidden.locked``.
     """
     import pandas as pd
 
@@ -50,43 +51,42 @@ def episode_values(dataset: Dataset) -> DataFrame:
             "length": episode.length,
             "task": ", ".join(dict.fromkeys(map(instruction_of, episode.tasks))),
         }
-        rows.append({**place, **values, **_of_object(plain.get("object_id")), **_hidden(plain.get("hidden_state"))})
+        derived = _of_object(plain.get("object_id")) | _recoveries(plain.get("episode_record"))
+        rows.append({**place, **values, **derived, **_hidden(plain.get("hidden_state"))})
     table = pd.DataFrame(rows, dtype=object)
     if {schema.TRIED, schema.FAILED, schema.DONE} <= dataset.features.keys():
-        for name in ("key_frames", "recoveries"):
-            table[name] = counted_labels(dataset)[name].astype(object)
+        table["key_frames"] = counted_labels(dataset)["key_frames"].astype(object)
     return table.where(table.notna(), None)
 
 
 def counted_labels(dataset: Dataset) -> DataFrame:
-    """Returns each episode's ``key_frames``, ``tries``, ``failed_tries``, ``recoveries``, ``success``, from its rows.
+    """Returns each episode's ``key_frames`` and ``success``, from its rows.
 
-    Rows without a label count as rows without a try, a success or an end.
+    Rows without a label count as rows without a success or an end. Tries are not counted from rows: a row may hold
+    several, and a try may last several rows.
     """
-    unlabelled: dict[str, Any] = {schema.TRIED: -1, schema.FAILED: False, schema.SUCCESS: False, schema.DONE: False}
     is_dense = is_dense_collection(dataset.features)
-    unlabelled |= {schema.DIRECTION: 0, schema.TRIAL: 0, schema.OUTCOME: 0} if is_dense else {}
+    unlabelled = {schema.SUCCESS: False, schema.DONE: False} | ({schema.OUTCOME: 0} if is_dense else {})
     rows = dataset.column_table([key for key in unlabelled if key in dataset.features]).to_pandas()
     rows = rows.assign(**{key: value for key, value in unlabelled.items() if key not in rows})
-    episode, failed = rows["episode_index"], rows[schema.FAILED].astype(bool)
-    tried, ends = rows[schema.TRIED] >= 0, ~rows[schema.DONE].astype(bool)
-    if is_dense:  # a try lasts several rows, and so does a key frame
-        one_try = [schema.TRIED, schema.DIRECTION, schema.TRIAL, schema.FAILED]
-        tried &= ~rows.duplicated(["episode_index", *one_try])
+    ends = ~rows[schema.DONE].astype(bool)
+    if is_dense:  # a key frame lasts several rows
         is_last = rows[schema.DONE].shift(-1, fill_value=True).astype(bool)
         ends &= (rows[schema.OUTCOME] != schema.GOES_ON) | is_last
-    followed = failed[tried].groupby(episode[tried]).shift(fill_value=False) & ~failed[tried]
-    counts = {
-        "key_frames": ends,
-        "tries": tried,
-        "failed_tries": failed & tried,
-        "recoveries": followed.reindex(rows.index, fill_value=False),
-        "success": rows[schema.SUCCESS].astype(bool),
-    }
-    return rows.assign(**counts).groupby(episode)[[*counts]].sum().astype({"success": bool})
+    counts = {"key_frames": ends, "success": rows[schema.SUCCESS].astype(bool)}
+    return rows.assign(**counts).groupby("episode_index")[[*counts]].sum().astype({"success": bool})
 
 
-def _of_object(object_id: object) -> dict[str, str | None]:
+def _recoveries(text: Any) -> dict[str, int]:
+    """Returns the ``recoveries`` in an ``episode_record``; nothing if it does not list its tries."""
+    try:
+        failed = [fails for _, _, fails in parse(text)["try_sequence"]]
+        return {"recoveries": sum(before and not after for before, after in itertools.pairwise(failed))}
+    except (KeyError, TypeError, ValueError):
+        return {}
+
+
+def _of_object(object_id: object) -> dict[str, Any]:
     if not isinstance(object_id, str):
         return {}
     try:

@@ -8,7 +8,7 @@
 - ``dataset.episodes``: `Episode`, its place and its row of that table. ``dataset.episode(3)`` checks the number.
 - ``dataset.rows(episode)``: its rows as a table; ``columns(episode)`` as arrays; ``recorded(3, manifest)`` as
   `RecordedEpisode`, checked for the simulator.
-- ``dataset.column_table(names)``: some columns of all rows. ``labels``: tries and successes counted from them.
+- ``dataset.column_table(names)``: some columns of all rows.
 - ``dataset.manifest(assets)``, ``.selection``, ``.workspace``, ``.statistics``: read on first access.
 - ``EpisodeDescription.from_columns(episode.row)``: the description of an episode.
 """

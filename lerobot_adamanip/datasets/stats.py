@@ -39,7 +39,7 @@ class GroupStats:
     """Counts of a group of episodes.
 
     Attributes:
-        labelled: number of episodes with labels of tries; a robot's have none.
+        labelled: number of episodes with counts of tries; a robot's have none.
         key_frames: number of key frames, without the final observations.
         recovered: success rate of the episodes with a failed try.
     """
@@ -129,7 +129,7 @@ def _summary(counts: Mapping[int, int]) -> dict[str, float]:
 
 
 def read_stats(root: str | Path) -> DatasetStats:
-    """Counts a dataset, from the columns of its episodes or, where they lack counts, from the labels of its rows.
+    """Counts a dataset, from the columns of its episodes; key frames, and success where they lack it, from its rows.
 
     Raises:
         DatasetError: it is missing or half written, or the columns of its episodes are invalid.
@@ -162,19 +162,21 @@ def read_stats(root: str | Path) -> DatasetStats:
 
 
 def _table(dataset: Dataset) -> DataFrame:
-    """Returns `episode_values` with counts in every episode, and ``labelled``: whether tries have labels."""
+    """Returns `episode_values` with counts in every episode, and ``labelled``: whether its tries are counted."""
     import pandas as pd
 
     table, labels = episode_values(dataset), counted_labels(dataset)
-    counts = {"tries": int, "failed_tries": int, "success": bool}
-    for name in ("object_id", "category", "object_split", "late", "recorded", *counts):
-        column = table[name] if name in table else pd.Series([None] * len(table), dtype=object)
-        table[name] = column.where(column.notna(), labels[name]) if name in counts else column
-    if "recorded" in dataset.own_columns.column_names:
-        table["recorded"] = dataset.own_columns["recorded"].to_pylist()
+    counts = {"tries": int, "failed_tries": int}
+    for name in ("object_id", "category", "object_split", "late", "success", *counts):
+        table[name] = table[name] if name in table else pd.Series([None] * len(table), dtype=object)
     key_frames = labels["key_frames"] if is_dense_collection(dataset.features) else table["length"] - 1
-    table = table.assign(labelled=table["recorded"].isna(), key_frames=key_frames)
-    return table.astype({**counts, "length": int, "key_frames": int})
+    table = table.assign(
+        labelled=table[[*counts]].notna().all(axis=1),
+        key_frames=key_frames,
+        success=table["success"].where(table["success"].notna(), labels["success"]),
+        **{name: table[name].where(table[name].notna(), 0) for name in counts},
+    )
+    return table.astype({**counts, "success": bool, "length": int, "key_frames": int})
 
 
 def _groups(table: DataFrame) -> dict[Group, DataFrame]:

@@ -10,7 +10,6 @@ from typing import Any, cast
 
 import demos_fake_env
 import numpy as np
-import pandas as pd
 import pytest
 from demos_helpers import patiently, same_bytes
 from dense_episodes import DENSE_FAKES, FULL, collect_dense, dense_spec, make_dense_env
@@ -30,7 +29,6 @@ from lerobot_adamanip.datasets.cards import collect_command
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.check.features import OF_LEROBOT
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, columns_of
-from lerobot_adamanip.datasets.conditions import counted_labels
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.datasets.manifest import Manifest
 from lerobot_adamanip.datasets.stats import read_stats
@@ -247,15 +245,6 @@ def test_every_command_takes_it(
     assert "Steps of an episode, at 10 Hz" in printed
     assert "  steps       " in printed
     assert "--env.control=dense --env.fps=10 --env.action=ee_delta --env.state=pose" in printed
-
-
-def test_a_success_and_a_failure_of_one_joint_are_two_tries(whole: Path) -> None:
-    labels = {schema.TRIED: 1, schema.DIRECTION: -1, schema.TRIAL: 1, schema.OUTCOME: schema.GOES_ON}
-    rows = pd.DataFrame({schema.FAILED: [False, False, True, True], "episode_index": 0})
-    rows = rows.assign(**labels, **{schema.SUCCESS: False, schema.DONE: False})
-    table = SimpleNamespace(to_pandas=lambda: rows)
-    counts = counted_labels(cast(Any, SimpleNamespace(features=Dataset(whole).features, column_table=lambda _: table)))
-    assert (counts.tries[0], counts.failed_tries[0]) == (2, 1)
 
 
 def test_counts_and_pictures_are_of_tries_not_of_rows(whole: Path) -> None:

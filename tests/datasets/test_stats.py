@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -20,6 +21,7 @@ from lerobot_adamanip.datasets.attempts import AttemptRecord, grouped_by_hidden_
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.editing import merge
 from lerobot_adamanip.datasets.stats import read_stats
+from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.report import Group
 from lerobot_adamanip.util.errors import DatasetError
 
@@ -80,7 +82,9 @@ def test_what_follows_a_failed_try_is_counted_as_evaluations_count_it(demos: Pat
     assert found.repeated.count == found.repeated.episodes  # the same way, with the lock open
 
 
-def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path, tmp_path: Path) -> None:
+def test_without_columns_of_ours_tries_are_unknown_and_the_rest_is_counted_from_rows(
+    demos: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     plain = Path(shutil.copytree(demos, tmp_path / "plain"))
     for name in ("collection.json", "attempts.jsonl"):
         (plain / "meta" / name).unlink()
@@ -89,8 +93,11 @@ def test_a_dataset_without_columns_of_ours_is_counted_from_its_rows(demos: Path,
     lerobots = ("episode_index", "tasks", "length", "dataset_from_index", "dataset_to_index")
     pq.write_table(table.drop_columns([n for n in table.column_names if "/" not in n and n not in lerobots]), path)
     found, whole = read_stats(plain), read_stats(demos)
-    assert found.overall == whole.overall
-    assert (found.lengths, found.failures) == (whole.lengths, whole.failures)
+    unknown = {"labelled": 0, "tries": 0, "failed_tries": 0, "recovered": rate(0, 0)}
+    assert found.overall == replace(whole.overall, **unknown)  # type: ignore[arg-type]
+    assert (found.lengths, found.failures) == (whole.lengths, {})
+    assert main(["stats", str(plain)]) == 0
+    assert re.search(r"each +\| +- +\| +- +\| +- +\|", capsys.readouterr().out)
     assert (list(found.groups), found.objects, found.recovery) == ([Group("all", "all")], 0, None)
 
 
