@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, EE_POSE, FULL, STATES
 from lerobot_adamanip.contract.dense_codec import delta_action, pose_of_delta, pose_state
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector
-from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.contract.schema import ACTION_DIM, POSE_NAMES
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.target_geometry import Target
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -37,7 +37,8 @@ def encode_action(kind: str, target: Target, reading: ArmReading) -> dict[str, f
 def decode_action(action: Mapping[str, Any], reading: ArmReading, kind: str = EE_POSE) -> Target:
     """Returns the target (10,) of an action by name.
 
-    The names tell the kind, so a replay needs no option, and a pose is accepted beside every kind.
+    The names tell the kind, so a replay needs no option, and a pose is accepted beside every kind. A delta that is not
+    finite gives a target of NaN, which the safety filter refuses.
 
     Args:
         action: name -> number.
@@ -54,7 +55,11 @@ def decode_action(action: Mapping[str, Any], reading: ArmReading, kind: str = EE
         raise ConfigurationError("An action lacks names.", got=f"no {', '.join(missing)}", allowed=allowed)
     with np.errstate(over="ignore"):
         values = np.array([float(action[name]) for name in ACTION_NAMES[complete[0]]], np.float32)
-    return pose_of_delta(values, reading.tcp_in_base) if complete[0] == EE_DELTA else values
+    if complete[0] != EE_DELTA:
+        return values
+    if not np.isfinite(values).all():
+        return np.full(ACTION_DIM, np.nan, np.float32)  # clipping would make a full step of infinity
+    return pose_of_delta(values, reading.tcp_in_base)
 
 
 def named_state(kind: str, reading: ArmReading) -> dict[str, float]:

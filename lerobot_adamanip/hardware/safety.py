@@ -199,7 +199,7 @@ class SafetyFilter:
         """Returns a path of 1 to 3 targets, each (10,) float32. The last one is the key frame. Empty if malformed.
 
         Between two targets all corners of the hand stay in the box, if it starts inside. So the hand turns where it has
-        room, with the gripper as it was. For arguments and errors see `stream`.
+        room, with the gripper as last commanded. For arguments and errors see `stream`.
         """
         start = TargetPose.at(tcp_in_base, float(self.origin(tcp_in_base)[GRIPPER_DIM]))
         if (checked := self._checked(target)) is None:
@@ -211,6 +211,10 @@ class SafetyFilter:
         arriving = arriving.moved_to(arriving.position, start.gripper)
         stops = [stop.target for stop, side in ((leaving, start), (arriving, goal)) if stop.distance(side) > ROUNDING]
         return [*stops, end.copy()]
+
+    def give_up_after(self, sent: Target) -> None:
+        """Sets the last target to one of a key frame's path, whose rest was not sent."""
+        self._last = sent.copy()
 
     def _checked(self, target: NDArray[np.generic]) -> Target | None:
         """Returns the canonical target; None if malformed. Raises `RobotError` after `MAX_REFUSED` in a row."""
@@ -254,9 +258,7 @@ class SafetyFilter:
         return origin.moved_to(origin.position, goal.gripper).target
 
     def _origin(self, measured: TargetPose) -> TargetPose:
-        if self._last is None:
-            raise RobotError("The safety filter has no pose to start at: it was not anchored.")
-        last = TargetPose.of(self._last)
+        last = TargetPose.of(self._anchored())
         if (lead := self._lead(last, measured)) <= 1.0:
             return last
         dragged = measured.towards(last, (1.0 - 1e-5) / lead)
@@ -267,7 +269,13 @@ class SafetyFilter:
         return max(pose.distance(measured) / self.limits.lead, pose.angle(measured) / self.limits.angular_lead)
 
     def _measured(self, tcp_in_base: Array) -> TargetPose:
-        return self.limits.into_box(TargetPose.at(tcp_in_base, 1.0))
+        """Returns the measured pose, in the box, with the gripper as last commanded."""
+        return self.limits.into_box(TargetPose.at(tcp_in_base, float(self._anchored()[GRIPPER_DIM])))
+
+    def _anchored(self) -> Target:
+        if self._last is None:
+            raise RobotError("The safety filter has no pose to start at: it was not anchored.")
+        return self._last
 
     def _is_inside(self, pose: TargetPose) -> bool:
         lower, upper = self.limits.reduced_box(pose.rotation)

@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.rotations import (
 )
 from lerobot_adamanip.hardware.calibration.hand_shape import franka_hand
 from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
-from lerobot_adamanip.hardware.target_geometry import Target
+from lerobot_adamanip.hardware.target_geometry import Target, canonical
 
 LIMITS = SafetyLimits((0.2, -0.5, 0.0), (0.8, 0.5, 0.7))
 START = transform((0.5, 0.0, 0.35), np.array(((0.0, 0.0, 1.0), (0.0, -1.0, 0.0), (1.0, 0.0, 0.0))))
@@ -72,6 +72,8 @@ def broken_laws(filter_: SafetyFilter, target: Target, measured: Array, dt: floa
     limits, origin = filter_.limits, filter_.origin(measured).copy()
     again = SafetyFilter(limits)
     again._last = filter_.last
+    asked = again.last if (goal := canonical(target)) is None else goal
+    assert asked is not None
     out = filter_.stream(target, measured, dt)
     here = filter_._measured(measured).target
     step = max(0.0, min(dt, limits.max_dt)) if np.isfinite(dt) else (limits.max_dt if dt > 0 else 0.0)
@@ -88,7 +90,7 @@ def broken_laws(filter_: SafetyFilter, target: Target, measured: Array, dt: floa
         "turn": turned <= limits.angular_speed * step + 1e-12,
         "lead": led <= limits.lead,
         "angular lead": led_turn <= limits.angular_lead + 1e-12,
-        "gripper": 0.0 <= out[9] <= 1.0,
+        "gripper": out[9] == asked[9],
         "idempotent": again.stream(out, measured, dt).tobytes() == out.tobytes(),
         "orthonormal": bool(np.abs(out[3:9].reshape(2, 3) @ out[3:9].reshape(2, 3).T - np.eye(2)).max() < 1e-5),
     }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -212,14 +213,21 @@ def test_a_key_frame_is_one_call_and_its_end_is_observed(make: Callable[..., Fak
     assert recorded(robot, robot.get_observation())["arm.outcome"] == Outcome.STALLED
 
 
-def test_a_malformed_action_keeps_the_last_and_a_missing_name_is_an_error(make: Callable[..., FakeFranka]) -> None:
-    robot = make(LOCKSTEP)
+@pytest.mark.parametrize("wrong", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("action", [EE_DELTA, EE_POSE])
+def test_a_malformed_action_keeps_the_last_and_a_missing_name_is_an_error(
+    make: Callable[..., FakeFranka], action: str, wrong: float
+) -> None:
+    robot = make(LOCKSTEP, action=action)
     robot.connect()
     start = pose_of(robot.get_observation())
     last = robot.send_action(start)
-    assert robot.send_action({**start, "ee.x.pos": float("nan")}) == last
-    with pytest.raises(ConfigurationError, match=r"no gripper\.pos"):
-        robot.send_action(dict.fromkeys(POSE_NAMES[:9], 0.0))
+    stays = last if action == EE_DELTA else start
+    for name in ACTION_NAMES[action]:
+        assert robot.send_action({**stays, name: wrong}) == pytest.approx(last, abs=1e-5)
+        assert robot.send_action(stays) == pytest.approx(last, abs=1e-5)  # which forgives the malformed one
+    with pytest.raises(ConfigurationError, match=f"no {ACTION_NAMES[action][-1]}"):
+        robot.send_action(dict.fromkeys(ACTION_NAMES[action][:-1], 0.0))
 
 
 def inject_reflex(robot: FakeFranka) -> None:
@@ -238,6 +246,15 @@ def test_a_reflex_is_raised_with_its_flags_and_recovered_by_hand(make: Callable[
     robot.recover()
     robot.get_observation()
     assert robot.send_action({**start, "ee.x.pos": 0.6}) == pytest.approx(start, abs=1e-6)  # begins where it is
+
+
+def test_a_recovery_leaves_the_gripper_as_commanded(driver: MotionDriver, arm: Arm, session: RobotSession) -> None:
+    driver.send(pose_vector(START, 0.0), reading(arm.at, None))
+    driver.recover()  # the fingers hold a wide part
+    assert session.sent is not None
+    assert session.sent[9] == 0.0
+    driver.anchor()  # of a scene that was reset
+    assert session.sent[9] == 1.0
 
 
 def test_a_reflex_of_an_earlier_command_is_cleared_on_connecting_only_if_asked(make: Callable[..., FakeFranka]) -> None:
@@ -336,6 +353,9 @@ class Arm:
     def healthy(self) -> Any:
         return SimpleNamespace(reading=reading(self.at, None))
 
+    def request(self, ask: str) -> None:
+        assert ask == "recover"
+
 
 def reading(at: Array, outcome: Outcome | None) -> ArmReading:
     seven = np.zeros(7)
@@ -359,9 +379,9 @@ def driver(arm: Arm, session: RobotSession) -> MotionDriver:
     return driver
 
 
-def floor(turn: float) -> np.ndarray:
+def floor(turn: float, gripper: float = 1.0) -> np.ndarray:
     position = (0.5, 0.0, LIMITS.box_lower[2])
-    return pose_vector(transform(position, START[:3, :3] @ rotation_about((0, 0, 1), turn)), 1.0)
+    return pose_vector(transform(position, START[:3, :3] @ rotation_about((0, 0, 1), turn)), gripper)
 
 
 def test_a_key_frame_that_turns_at_the_floor_is_sent_in_three_motions(
@@ -385,6 +405,17 @@ def test_a_detour_that_is_blocked_ends_the_key_frame(driver: MotionDriver, arm: 
     assert sent.tobytes() == arm.sent[-1][1].tobytes()
     assert session.reading is not None
     assert session.reading.outcome is Outcome.STALLED
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0])
+def test_a_closed_hand_stays_closed_on_all_ways_but_to_an_open_goal(driver: MotionDriver, arm: Arm, end: float) -> None:
+    """The first goal is blocked on its way, and the arm is then pushed farther than the lead."""
+    driver.send(floor(0.0, 0.0), reading(arm.at, None))
+    arm.outcomes[0] = Outcome.STALLED
+    driver.send(floor(np.pi / 2, end), reading(arm.at, None))
+    arm.at = transform(arm.at[:3, 3] + (0.0, 0.2, 0.0), arm.at[:3, :3])
+    driver.send(floor(np.pi / 3, 1.0), reading(arm.at, None))
+    assert [float(pose[9]) for _, pose in arm.sent] == [0.0, 0.0, 0.0, 0.0, 1.0]
 
 
 def test_a_malformed_action_after_a_stall_sends_nothing(driver: MotionDriver, arm: Arm) -> None:

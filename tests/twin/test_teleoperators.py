@@ -154,6 +154,21 @@ def test_an_episode_and_a_second_without_calls_anchor_anew(robot: Robot, clock: 
     np.testing.assert_allclose(call(stick, robot)[:3], (0.45, 0.1, 0.7), atol=1e-6)
 
 
+@pytest.mark.parametrize("begins", ["episode", "pause", "reset"])
+def test_a_new_anchor_leaves_the_gripper_as_commanded(robot: Robot, clock: Clock, stick: Stick, begins: str) -> None:
+    """Closed fingers that hold a wide part are measured as open."""
+    call(stick, robot)
+    stick.jog = Jog(toggle=True)
+    robot.session.sent = call(stick, robot)
+    assert robot.session.reading is not None
+    robot.session.reading = replace(robot.session.reading, gripper=0.62)
+    if begins == "reset":
+        stick.reset()
+    robot.session.episodes += begins == "episode"
+    clock.now += MAX_PAUSE_S + 0.1 if begins == "pause" else 0.0
+    assert [stick.get_action()["gripper.pos"], *(call(stick, robot)[9] for _ in range(3))] == [0.0] * 4
+
+
 def test_the_first_anchor_waits_for_a_reading_newer_than_the_reset(robot: Robot, clock: Clock, stick: Stick) -> None:
     call(stick, robot)
     stick.reset()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, KEYFRAME, STATES
 from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.memory import EVENTS, MEMORY_NAMES
+from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.hardware import ON_CREATION
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
@@ -80,20 +81,24 @@ class MotionDriver:
         self._session.reading = reading
         return reading
 
-    def anchor(self) -> None:
-        """Sets the last sent target to the measured pose.
+    def anchor(self, gripper: float | None = None) -> None:
+        """Sets the last sent target to the measured pose, and to an opening or, by default, the measured one.
 
         Raises:
             RobotError: the arm has a fault, or the hand is outside the box.
         """
         reading = self.read()
-        self._session.sent = self._filter.anchor(reading.tcp_in_base, reading.gripper)
+        self._session.sent = self._filter.anchor(reading.tcp_in_base, reading.gripper if gripper is None else gripper)
         self._sent_at = self.rested_at = self._last_request = None
 
     def recover(self) -> None:
-        """Clears a fault without motion. The next action starts at the current pose. Raises `RobotError`."""
+        """Clears a fault without motion. The next action starts at the current pose, with the commanded gripper.
+
+        Raises `RobotError`.
+        """
         self._arm.request("recover")
-        self.anchor()
+        sent = self._session.sent
+        self.anchor(None if sent is None else float(sent[GRIPPER_DIM]))
 
     def send(self, target: Target, reading: ArmReading) -> Target:
         """Filters and sends a target (10,), and returns the filtered target. Waits for the end of a key frame.
@@ -117,7 +122,8 @@ class MotionDriver:
             self._session.reading, self._last_request = end.reading, target.tobytes()
             self.rested_at = time.perf_counter()
             if end.reading is None or end.reading.outcome is not Outcome.REACHED:
-                break  # from here the rest of the path may leave the box
+                self._filter.give_up_after(sent)  # from here the rest of the path may leave the box
+                break
         return sent
 
     def _send_stream(self, target: Target, reading: ArmReading) -> Target:

@@ -31,7 +31,8 @@ class TcpTeleop(Teleoperator):
     """Drives one absolute tool goal. Returned goals have passed the `SafetyFilter`, so the robot does not change them.
 
     The goal is anchored at the measured pose after a reset, when an episode starts or is abandoned, and after a second
-    without calls. LeRobot passes a teleoperator no observation, so it reads the `RobotRegistry`.
+    without calls. The gripper stays as last commanded, since fingers that hold a wide part are measured as open.
+    LeRobot passes a teleoperator no observation, so it reads the `RobotRegistry`.
 
     Args:
         config: see `TcpTeleopConfig`.
@@ -96,11 +97,12 @@ class TcpTeleop(Teleoperator):
         dt = self._passed(session, now)
         self._called = now
         if self._filter is None:
+            gripper = reading.gripper if session.sent is None else float(session.sent[GRIPPER_DIM])
             if session.safety is None or reading.stamp <= self._anchored_after:
-                start = pose_vector(reading.tcp_in_base, reading.gripper)
+                start = pose_vector(reading.tcp_in_base, gripper)
                 return encode_action(session.action, start, reading)
             self._filter = SafetyFilter(session.safety)
-            self._filter.anchor(reading.tcp_in_base, reading.gripper)
+            self._filter.anchor(reading.tcp_in_base, gripper)
             dt = 0.0  # the robot also counts no time before its first target, so both filters stay equal
         return encode_action(session.action, self._advance(session, reading, dt), reading)
 
