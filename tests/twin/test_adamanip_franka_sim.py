@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from lerobot_adamanip.lerobot_patches.episode_signals import EpisodicRobot
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.objects.base import Motion
 from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_env_adamanip.twin import twin_camera
 from lerobot_env_adamanip.twin.config_devices import AdamanipFrankaSimConfig, AdamanipTwinConfig
 from lerobot_env_adamanip.twin.franka_sim import AdamanipFrankaSim
 from lerobot_env_adamanip.twin.process import SUCCESS_BOX
@@ -89,7 +91,8 @@ class FakeProcess:
             return 1, self.success
         color = np.full((16, 16, 3), self.looks, np.uint8)
         depth = color[..., 0].astype(np.uint16) if self.with_depth else None
-        return self.looks, Frame(0.0, 0.0, color, depth, self.looks)
+        now = time.perf_counter()
+        return self.looks, Frame(now, now, color, depth, self.looks)
 
     @property
     def resets(self) -> list[int]:
@@ -106,7 +109,8 @@ def make(process: FakeProcess, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]
     made: list[AdamanipFrankaSim] = []
 
     def robot(**options: Any) -> AdamanipFrankaSim:
-        config = AdamanipFrankaSimConfig(id="twin", seed=1000, clock="lockstep", image_size=16, **options)
+        options = {"clock": "lockstep", **options}
+        config = AdamanipFrankaSimConfig(id="twin", seed=1000, image_size=16, **options)
         monkeypatch.setattr(AdamanipFrankaSim, "_make_client", lambda _: process)
         made.append(AdamanipFrankaSim(config))
         made[-1].connect()
@@ -177,6 +181,29 @@ def test_lockstep_tells_time_by_steps_and_looks_once_a_step(make: Any, process: 
         robot.send_action(action(robot, 0.001 * number))
     np.testing.assert_allclose(np.diff(stamps), 1 / 30, atol=1e-9)
     assert process.looks - before <= 4
+
+
+@pytest.mark.parametrize("clock", ["lockstep", "realtime"])
+def test_the_first_picture_of_a_scene_is_not_of_the_scene_before(make: Any, process: FakeProcess, clock: str) -> None:
+    robot = make(clock=clock)
+    robot.get_observation()
+    robot.put_up(1001)
+    before = process.looks
+    assert robot.get_observation()["front"][0, 0, 0] > before
+
+
+def test_after_a_pause_the_next_observation_has_a_new_picture(
+    make: Any, process: FakeProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """An episode is saved, a policy compiles: the camera takes no pictures that nobody reads."""
+    monkeypatch.setattr(twin_camera, "WANTED_FOR", 0.05)
+    robot = make(clock="realtime", camera_age=0.1)
+    robot.get_observation()
+    time.sleep(0.3)
+    before = process.looks
+    time.sleep(0.2)
+    assert process.looks == before
+    assert robot.get_observation()["front"][0, 0, 0] > before
 
 
 def test_depth_corrects_the_calibration_until_the_scene_changes(make: Any, monkeypatch: pytest.MonkeyPatch) -> None:

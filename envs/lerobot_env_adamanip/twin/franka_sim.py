@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import signal
+import time
 from pathlib import Path
 from typing import Any
 
@@ -145,6 +146,7 @@ class AdamanipFrankaSim(AdamanipFranka):
         details.update(scene)
         self._calibrated(scene)
         self._motion.anchor()
+        self._motion.rested_at = time.perf_counter()  # earlier pictures show the scene before
         self._stands_at(seed)
 
     def begin_episode(self, index: int) -> None:

@@ -22,8 +22,8 @@ LOOK_TIME = 120.0
 class AdamanipTwin(ThreadedCamera):
     """A camera of the twin's scene.
 
-    In real time its thread takes pictures at ``fps``. In lockstep each read takes a picture, at most one per step,
-    so that equal steps give equal data.
+    In real time its thread takes pictures at ``fps`` while they are read; the first read after a pause waits for one.
+    In lockstep each read takes a picture, at most one per step, so that equal steps give equal data.
     """
 
     config_class = AdamanipTwinConfig
@@ -66,12 +66,16 @@ class AdamanipTwin(ThreadedCamera):
                 self._seen_at = now
 
     def latest_frame(self, max_age: float = MAX_AGE) -> Frame:
-        """Returns the last frame; in lockstep, the frame of this step."""
-        return super().latest_frame(float("inf") if self._lockstep and self.is_connected else max_age)
+        """Returns the last frame; in lockstep, the frame of this step; after a pause, a new one."""
+        now = time.perf_counter()
+        if self._lockstep and self.is_connected:
+            return super().latest_frame(float("inf"))
+        return self.frame_after(now - max_age) if now - self._wanted > WANTED_FOR else super().latest_frame(max_age)
 
     def frame_after(self, stamp: float, timeout: float = MAX_AGE) -> Frame:
-        """Returns a frame exposed after ``stamp``; in lockstep, a new one."""
-        return super().frame_after(float("-inf") if self._lockstep and self.is_connected else stamp, timeout)
+        """Returns a frame exposed after ``stamp``; in lockstep, a new one. Waits `LOOK_TIME` or longer."""
+        stamp = float("-inf") if self._lockstep and self.is_connected else stamp
+        return super().frame_after(stamp, max(timeout, LOOK_TIME))
 
     def _open(self) -> None:
         if self._client is None or not self._client.is_connected:
