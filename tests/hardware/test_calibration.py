@@ -348,6 +348,9 @@ def test_pictures_are_taken_with_a_robot_and_only_good_ones_kept(tmp_path: Path)
     assert len(begin(tmp_path, camera, Mounting.FIXED, BOARD).tcp_in_base) == 2  # one may go on another day
     with pytest.raises(ConfigurationError, match="something else"):
         begin(tmp_path, camera, Mounting.WRIST, BOARD)
+    camera.color_intrinsics = lambda: replace(INTRINSICS, width=1280)
+    with pytest.raises(ConfigurationError, match=r"(?s)640 x 480 px.*1280 x 480 px"):
+        begin(tmp_path, camera, Mounting.FIXED, BOARD)
     with pytest.raises(ConfigurationError, match="no camera phone"):
         camera_of(robot, "phone")
 

@@ -260,7 +260,7 @@ def begin(folder: Path, camera: Any, mounting: Mounting, board: Board) -> ViewFo
     """Opens an existing folder of pictures, or creates one with the camera's intrinsics.
 
     Raises:
-        ConfigurationError: the existing pictures show another camera, mounting or board.
+        ConfigurationError: the existing pictures are of another camera, mounting, board or size.
         RobotError: the camera does not report its intrinsics.
     """
     depth = camera.depth_in_color()
@@ -276,11 +276,15 @@ def begin(folder: Path, camera: Any, mounting: Mounting, board: Board) -> ViewFo
     if not (folder / FILE).exists():
         return new
     existing = ViewFolder.open(folder)
-    if (existing.camera, existing.mounting, existing.board) != (new.camera, new.mounting, new.board):
+    shown, asked = (
+        (each.camera, each.mounting, each.board, f"{each.color.width} x {each.color.height} px")
+        for each in (existing, new)
+    )
+    if shown != asked:
         raise ConfigurationError(
             "The folder holds pictures of something else.",
-            got=f"{existing.camera}, {existing.mounting}, {existing.board}",
-            allowed=f"{new.camera}, {new.mounting}, {new.board}",
+            got=", ".join(map(str, shown)),
+            allowed=", ".join(map(str, asked)),
             hint="another folder",
         )
     return existing
