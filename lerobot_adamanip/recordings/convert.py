@@ -44,8 +44,8 @@ class ConvertOptions:
         rows: points, images and workspace; a mix takes them from its simulated datasets.
         camera: key of the camera whose depth becomes the cloud.
         calibration: camera calibration file; None uses the file in each recording.
-        successful: whether rollout episodes, which record no success, count as successful at their last row. Of their
-            interventions, that is one that lasts to the end of the episode.
+        successful: whether the episodes of a recording in which nobody reported a success count as successful at their
+            last row. Of interventions, that is one that lasts to the end of the episode.
         skip_still: whether to skip episodes without motion instead of raising an error.
         repo_id: dataset name; default ``local/<folder name>``.
     """
@@ -175,7 +175,7 @@ class _Conversion:
                 if self.options.calibration is None:
                     calibration = recording.calibration_of(number, calibration)
                 episode = recording.episode(number)
-                if self.options.successful and not recording.has_success and not episode.success.any():
+                if self.options.successful and not recording.has_success:
                     episode = replace(episode, success=np.arange(len(episode)) == len(episode) - 1)
                 for begin, part in _parts(episode):
                     converted = self._converted(recording, number, begin, part, calibration)

@@ -177,11 +177,10 @@ class DenseRecording:
             sent.append(sent[-1] if allowed is None else allowed)
         return np.stack(sent)
 
-    @property
+    @cached_property
     def has_success(self) -> bool:
-        """Whether somebody reported success while recording. Nobody does on rollouts."""
-        features = self.dataset.features
-        return INTERVENTION not in features and schema.SUCCESS in features
+        """Whether any episode reports a success, by the success key or a twin. Then the others are no successes."""
+        return any(self.episode(number).success.any() for number in range(len(self)))
 
     def pictures(self, number: int, tick: int) -> tuple[NDArray[np.uint8] | None, NDArray[np.uint16]]:
         """Returns the colour (H, W, 3), if recorded, and depth (H, W) [mm] of a tick."""

@@ -170,6 +170,14 @@ def test_of_the_interventions_of_a_successful_episode_the_one_at_its_end_succeed
         assert Dataset(tmp_path / f"made_{end}").table["success"].to_pylist() == successes
 
 
+def test_episodes_are_counted_as_successes_where_nobody_reported_one(recording: Path, tmp_path: Path) -> None:
+    """As in an episodic rollout, which has the columns of `lerobot-record` but nobody at the success key."""
+    rollout = write_recording(tmp_path / "rollout", *(dense_episode(seed=seed, opens=False) for seed in (1, 2)))
+    for root, successes in ((rollout, [True, True]), (recording, [True, False])):
+        convert([root], tmp_path / f"made_{root.name}", replace(OPTIONS, successful=True))
+        assert Dataset(tmp_path / f"made_{root.name}").table["success"].to_pylist() == successes
+
+
 def test_a_success_at_a_last_tick_that_repeats_a_reading_counts() -> None:
     episode = dense_episode(seed=3)
     for values in (episode.state, episode.stamp):
