@@ -51,7 +51,10 @@ def recorded_row(
 
 
 class ObservedRows:
-    """Rows of the latest observations. LeRobot gives the recorder an observation's state only, which is the key."""
+    """Rows of the latest observations. LeRobot gives the recorder an observation's state only, which is the key.
+
+    The latest of equal states counts: many observations are never recorded, so an earlier row may belong to none.
+    """
 
     def __init__(self) -> None:
         self._rows: dict[bytes, Row] = {}

@@ -26,7 +26,7 @@ from lerobot_adamanip.hardware.safety import SafetyLimits
 LOCKSTEP_DT = "lockstep_dt"
 """Session detail: duration of one step in lockstep [s]."""
 OPERATOR_SUCCESS, SUCCESS = "operator_success", "success"
-"""Session details: the operator pressed the success key; a twin reports success."""
+"""Session details: the operator marks the next action as a success; a twin reports success."""
 RESET_WANTED = "reset_wanted"
 """Session detail: the operator requested a scene reset."""
 
@@ -45,7 +45,8 @@ class RobotSession:
         details: further descriptions from the backend (twin: its annotations and episode).
         rows: rows of the latest observations, for the recorder.
         memory: memory of felt tries, if observations hold it; each episode starts without tries.
-        episodes: counter of started and abandoned episodes. At each, teleoperators anchor their goal again.
+        episodes: counter that rises when an episode starts, is saved or is abandoned. Then the memory starts anew, and
+            teleoperators anchor their goal again. A rollout may save an episode without a start of the next one.
     """
 
     reading: ArmReading | None = None
@@ -106,6 +107,7 @@ class RobotSession:
         action = encode_action(self.action, sent, observed)
         executed = np.array(list(action.values()), np.float32)
         self.rows.complete(executed, sent, self.success)
+        self.details.pop(OPERATOR_SUCCESS, None)  # a policy's action after the operator's is not marked
         self._acted = state_of(self.state, observed), executed
         return action
 

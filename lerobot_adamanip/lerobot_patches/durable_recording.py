@@ -48,6 +48,7 @@ from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration, read_calibrations, save_calibration
 from lerobot_adamanip.hardware.features import (
+    ARM,
     CALIBRATIONS,
     FRONT_CAMERA,
     SAFETY,
@@ -55,11 +56,12 @@ from lerobot_adamanip.hardware.features import (
     recorded_features,
     split_memory,
 )
+from lerobot_adamanip.hardware.recorded_rows import MAX_ROWS
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.lerobot_patches.support import UnsupportedError, loaded, replace
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import ConfigurationError, RobotError
 
 INFO = "info.json"
 MAX_MOVED_MM = 5.0
@@ -191,20 +193,34 @@ class DurableWriter(DatasetWriter):
 
         Raises:
             ConfigurationError: a resumed recording has another calibration than the connected robot.
+            RobotError: the session has no row of the frame's observation.
         """
         if not self._has_rows:
             require_same_cameras(self._meta.root)
             self._has_rows = True
         session = ROBOTS.find()
         row = {} if session is None else session.rows.find(frame[STATE])
+        if ARM in self._meta.features and ARM not in {**row, **frame}:
+            raise RobotError(
+                "A frame cannot be recorded: the arm's reading of its observation is unknown.",
+                got="no single connected robot" if session is None else f"no such state in the last {MAX_ROWS}",
+                allowed=f"frames of one robot of ours, each within {MAX_ROWS} observations",
+                hint="--strategy.type=highlight: a smaller --strategy.ring_buffer_seconds",
+            )
         super().add_frame({**{key: value for key, value in row.items() if key in self._meta.features}, **frame})
 
     def save_episode(self, episode_data: dict[str, Any] | None = None, parallel_encoding: bool = True) -> None:
-        """Like LeRobot's, but marks the last row as the episode's end."""
+        """Like LeRobot's, but marks the last row as the episode's end, and the robot's session starts an episode."""
         ends = (self.episode_buffer if episode_data is None else episode_data).get(DONE)
         if ends:
             ends[-1] = np.array([True])
         super().save_episode(episode_data, parallel_encoding)
+        _count_episode()
+
+    def clear_episode_buffer(self, delete_images: bool = True) -> None:
+        """Like LeRobot's, and the robot's session starts an episode."""
+        super().clear_episode_buffer(delete_images)
+        _count_episode()
 
     def finalize(self) -> None:
         """Like LeRobot's, but with true statistics. Afterwards another process may write or repair the dataset."""
@@ -220,6 +236,12 @@ class DurableWriter(DatasetWriter):
         metadata: dict[str, Any] = super()._save_episode_data(episode_buffer)
         self.close_writer()
         return metadata
+
+
+def _count_episode() -> None:
+    """Lets the connected robot's memory start anew: `lerobot-rollout` notifies nobody when an episode begins."""
+    if (session := ROBOTS.find()) is not None:
+        session.episodes += 1
 
 
 def rehearse() -> None:

@@ -31,7 +31,7 @@ from lerobot_adamanip.hardware.features import ARM, ARM_NAMES, CALIBRATIONS, STA
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
 from lerobot_adamanip.lerobot_patches.ordered_depth import in_order
 from lerobot_adamanip.util import files
-from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError, RobotError
 
 HERE = Path(__file__).parent
 ENCODINGS = (False, True)
@@ -234,6 +234,37 @@ def test_tasks_are_written_in_one_step_and_nobody_repairs_meanwhile(
     dataset.finalize()
     assert sorted(LeRobotDataset("local/dense", root=root).meta.tasks.index) == ["close it", "open it"]
     assert repair(root).mended == []
+
+
+def test_an_episode_that_is_saved_or_discarded_is_counted_once(tmp_path: Path) -> None:
+    """`lerobot-rollout` says no more of its episodes, and the robot's memory starts anew with each."""
+    session = ROBOTS.open("arm")
+    try:
+        dataset = LeRobotDataset.create("local/dense", 30, FEATURES, root=tmp_path / "dense")
+        for count, end in enumerate((dataset.save_episode, dataset.clear_episode_buffer), 1):
+            dataset.add_frame({**ROW, "task": "open it"})
+            assert session.episodes == count - 1
+            end()
+            assert session.episodes == count
+        dataset.finalize()
+    finally:
+        ROBOTS.close("arm")
+
+
+@pytest.mark.parametrize("robots", [0, 1, 2])
+def test_a_frame_of_an_unknown_observation_is_refused(tmp_path: Path, robots: int) -> None:
+    frame = {key: ROW[key] for key in (schema.STATE, schema.ACTION)}
+    try:
+        for number in range(robots):
+            ROBOTS.open(f"arm {number}")
+        dataset = LeRobotDataset.create("local/dense", 30, FEATURES, root=tmp_path / "dense")
+        got = "no such state" if robots == 1 else "no single connected robot"
+        with pytest.raises(RobotError, match=rf"(?s)cannot be recorded.*{got}.*ring_buffer_seconds"):
+            dataset.add_frame({**frame, "task": "open it"})
+        dataset.finalize()
+    finally:
+        for number in range(robots):
+            ROBOTS.close(f"arm {number}")
 
 
 def test_a_recording_is_resumed_with_a_moved_front_camera_and_not_with_another(tmp_path: Path) -> None:

@@ -15,7 +15,9 @@ from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.contract.rotations import pose_from_vector, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
+from lerobot_adamanip.contract.schema import SUCCESS as SUCCESS_COLUMN
 from lerobot_adamanip.hardware.arm import ArmMode, ArmReading
+from lerobot_adamanip.hardware.dense_kinds import state_of
 from lerobot_adamanip.hardware.robot_registry import LOCKSTEP_DT, OPERATOR_SUCCESS, RESET_WANTED, ROBOTS, RobotSession
 from lerobot_adamanip.hardware.safety import SafetyFilter, SafetyLimits
 from lerobot_adamanip.hardware.teleoperators.config_devices import (
@@ -208,7 +210,29 @@ def test_the_gripper_toggles_and_keys_reach_the_robot(robot: Robot, stick: Stick
     assert robot.session.details[RESET_WANTED] is True
     robot.session.episodes += 1
     call(stick, robot)
-    assert OPERATOR_SUCCESS not in robot.session.details
+    assert not robot.session.details[OPERATOR_SUCCESS]
+
+
+@pytest.mark.parametrize("begins", ["episode", "pause"])
+def test_the_success_key_marks_what_the_operator_does_until_the_next_take_over(
+    robot: Robot, clock: Clock, stick: Stick, begins: str
+) -> None:
+    session = robot.session
+
+    def marked(*, by_hand: bool = True) -> bool:
+        reading = session.reading
+        assert reading is not None
+        session.observe(reading, clock.now)
+        session.act(call(stick, robot, follows=False) if by_hand else session.sent, reading)
+        return bool(session.rows.find(state_of(session.state, reading))[SUCCESS_COLUMN][0])
+
+    assert not marked()
+    stick.jog = Jog(success=True)
+    assert [marked() for _ in range(3)] == [True] * 3
+    assert not marked(by_hand=False)  # a policy goes on
+    session.episodes += begins == "episode"
+    clock.now += MAX_PAUSE_S + 0.1 if begins == "pause" else 0.0
+    assert [marked() for _ in range(2)] == [False] * 2
 
 
 def test_without_a_robot_or_a_connection_it_says_so(stick: Stick) -> None:
@@ -408,7 +432,7 @@ def test_text_that_is_typed_in_any_window_moves_nothing_and_labels_nothing(robot
         keys.release(letter)
     keys.press("shift_r")
     call(keys, robot)
-    assert OPERATOR_SUCCESS not in robot.session.details
+    assert not robot.session.details[OPERATOR_SUCCESS]
 
 
 def test_a_keyboard_whose_listener_has_ended_is_an_error(robot: Robot, keys: Keys) -> None:

@@ -186,23 +186,24 @@ def dead_zone(values: Array, width: float) -> Array:
 
 
 class JogTeleop(TcpTeleop):
-    """Integrates the deflections that `_read` returns."""
+    """Integrates the deflections that `_read` returns.
 
-    _driving = False
+    The success key marks all further actions, until the goal is anchored anew at an episode or after a pause.
+    """
+
+    _driving = _succeeded = False
 
     @abc.abstractmethod
     def _read(self) -> Jog:
         """Returns the current deflections. Reports each key press once. Never waits. Raises `RobotError`."""
 
     def _begin(self, session: RobotSession, *, new_episode: bool) -> None:
-        self._driving = False
-        if new_episode:
-            session.details.pop(OPERATOR_SUCCESS, None)
+        self._driving = self._succeeded = False
 
     def _advance(self, session: RobotSession, reading: ArmReading, dt: float) -> Target:
         jog = self._read()
-        if jog.success:
-            session.details[OPERATOR_SUCCESS] = True
+        self._succeeded |= jog.success
+        session.details[OPERATOR_SUCCESS] = self._succeeded
         if jog.reset:
             session.details[RESET_WANTED] = True
         assert self._filter is not None
