@@ -42,7 +42,7 @@ They are those of the commit below each table; later versions may spell them oth
 """
 PICTURES = """![Success over the failed tries that an episode may have](images/benchmark_tries.png)
 
-![Opened within the best strategy's tries, by method and category, with intervals, scale test](images/benchmark_success.png)
+![Opened within the best strategy's tries, with intervals, scale test](images/benchmark_success.png)
 
 ![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
 

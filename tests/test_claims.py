@@ -196,6 +196,20 @@ def test_a_policy_that_never_had_a_memory_is_behind_by_what_is_said() -> None:
     assert "six categories by 20 to 50" in DOCUMENTS["README.md"]
 
 
+def test_kinds_of_memory_are_compared_as_said() -> None:
+    report, text = REPORTS["memories"], DOCUMENTS["docs/memory.md"]
+    for category in report.categories_with_results:
+        row = [counts(report.entries[kind, category, "seen"].metrics) for kind in ("events", "window", "code", "none")]
+        assert f"| {category} | {' | '.join(row)} |" in text
+    said = []
+    for other, name in (("none", "none"), ("window", "a window"), ("code", "the code")):
+        difference = report.paired(("events", other), report.categories_with_results, "seen", WITHIN_TRIES)
+        assert difference is not None
+        values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
+        said.append("{:+d} points [{:+d}, {:+d}]".format(*values) + f" better than {name}")
+    assert f"Within the tries, events are {listed(said)}." in text
+
+
 def test_the_twin_opens_what_the_evaluation_opened() -> None:
     (row,) = read_result(ROOT / "results" / "first_number.json").rows
     opened = {each.seed: each.success for each in read_log(ROOT / "results" / "twin" / "first_number.jsonl")}
