@@ -196,6 +196,22 @@ def test_a_policy_that_never_had_a_memory_is_behind_by_what_is_said() -> None:
     assert "six categories by 20 to 50" in DOCUMENTS["README.md"]
 
 
+def test_doors_and_windows_gain_by_the_memory_without_corrections_too() -> None:
+    places, alone = ("door", "window"), ("demonstrated", "demonstrated_without_memory")
+    for category in places:
+        both = " and ".join(counts(metrics(method, category)) for method in alone)
+        assert f"{category}s {both}" in DOCUMENTS["docs/memory.md"]
+    within, opened, more, more_opened = (
+        gain(outcome, categories=places, methods=pair)
+        for pair in (alone, ("dp3_adaptive", "demonstrated"))
+        for outcome in (WITHIN_TRIES, OPENED)
+    )
+    text = (
+        f"the memory is {within.replace(' ', ' points ', 1)} within the tries and {opened} in success; corrections in "
+    )
+    assert f"{text}place of steps add {more} and {more_opened}." in DOCUMENTS["docs/memory.md"]
+
+
 def test_kinds_of_memory_are_compared_as_said() -> None:
     report, text = REPORTS["memories"], DOCUMENTS["docs/memory.md"]
     for category in report.categories_with_results:
