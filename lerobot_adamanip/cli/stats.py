@@ -60,7 +60,7 @@ def _lines(stats: DatasetStats) -> Iterator[str]:
         yield f"Failed tries of an episode: {', '.join(f'{count} in {n}' for count, n in stats.failures.items())}"
     yield from (f"Failed tries by kind, {line}" for line in failed_tries_text(stats.failed_by_kind))
     if unlabelled := stats.overall.episodes - stats.overall.labelled:
-        yield f"Without counts of tries, as a robot's: {unlabelled} episodes"
+        yield f"Without counts of tries, e.g. recorded on a robot: {unlabelled} episodes"
     yield f"Objects: {stats.objects}. Late starts: {stats.late}. Rows: {stats.rows}. Size: {stats.bytes / 1e6:.1f} MB"
     if stats.recovery is not None:
         yield f"Failed tries repeated unchanged: {interval_text(stats.recovery.repeated)}"
