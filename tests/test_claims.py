@@ -193,7 +193,7 @@ def test_a_policy_that_never_had_a_memory_is_behind_by_what_is_said() -> None:
         )
     larger = sorted(round(100 * each.difference) for each in gaps.values() if each.low > 0)
     assert (len(larger), larger[0], larger[-1]) == (6, 20, 50)
-    assert "six categories by 20 to 50" in DOCUMENTS["README.md"]
+    assert "in six categories 20 to 50" in DOCUMENTS["README.md"]
 
 
 def test_doors_and_windows_gain_by_the_memory_without_corrections_too() -> None:
