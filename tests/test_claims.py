@@ -17,6 +17,7 @@ from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
 
 ROOT = Path(__file__).resolve().parents[1]
+TEST = ROOT / "results" / "benchmark" / "test"
 DOCUMENTS = {
     name: (ROOT / name).read_text(encoding="utf-8")
     for name in ("README.md", "docs/memory.md", "docs/sensing.md", "docs/lerobot_policies.md", "docs/twin.md")
@@ -139,8 +140,7 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
 
 def of_training(method: str, seed: int = 1001) -> Metrics:
     """Returns all categories of one training, seen objects."""
-    files = ROOT / "results" / "benchmark" / "test"
-    rows = [read_result(files / f"{method}-{category}-seen-{seed}.json").rows[0] for category in CATEGORIES]
+    rows = [read_result(TEST / f"{method}-{category}-seen-{seed}.json").rows[0] for category in CATEGORIES]
     return pool([row.metrics for row in rows])
 
 
@@ -148,6 +148,16 @@ def test_d435_is_compared_with_exact_clouds_of_the_same_training() -> None:
     d435, exact = (counts(of_training(method)).split(", ") for method in ("d435_calibrated", "dp3_adaptive"))
     text = f"it opens {d435[0]} of 900, within the tries {d435[1]}; with exact clouds {exact[0]} and {exact[1]}."
     assert text in DOCUMENTS["docs/sensing.md"]
+
+
+def test_a_camera_error_of_20_mm_is_compared_with_its_correction() -> None:
+    wrong, right = (counts(of_training(method)).split(", ") for method in ("mm20", "mm20_calibrated"))
+    text = f"it opens {wrong[0]} of 900, within the tries {wrong[1]}; self-calibrated {right[0]} and {right[1]}."
+    assert text in DOCUMENTS["docs/sensing.md"]
+    for category in CATEGORIES:
+        files = (TEST / f"{method}-{category}-seen-1001.json" for method in ("mm20_calibrated", "dp3_adaptive"))
+        opened, exact = (read_result(file).rows[0].metrics.success.count for file in files)
+        assert opened >= 0.95 * exact
 
 
 @pytest.mark.parametrize(
