@@ -27,6 +27,8 @@ IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
 MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary}
 """Scale -> its means in the README."""
+NOT_IN_README = ("| dp3_adaptive with rules |", "| rules without a memory |")
+"""Starts of rows that docs/results.md and docs/memory.md have; the README shows at most six."""
 SCALES = ("test", "paper", "one_object", "control_rate", "paper_0_2")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
@@ -152,7 +154,8 @@ def readme_block(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkR
         for result in shown
         for row in result.rows
     ]
-    parts += [f"{table}\n" for table in means.values() if table]
+    tables = ([line for line in table.split("\n") if not line.startswith(NOT_IN_README)] for table in means.values())
+    parts += ["\n".join([*lines, ""]) for lines in tables if any(lines)]
     note = _versions_note([*shown, *(result for scale in means for result in uniform[scale].results)])
     sources = "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
     return "\n".join([START, *parts, f"{note} {sources}".strip() if parts else NOTHING, END])
