@@ -18,26 +18,19 @@ import sys
 from collections import Counter
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from pathlib import Path
 
 import numpy as np
-import torch
-from lerobot.configs.policies import PreTrainedConfig
-from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-from lerobot.policies.pretrained import PreTrainedPolicy
-from lerobot.processor import PolicyProcessorPipeline
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from lerobot_adamanip.cli.progress import ProgressLines
-from lerobot_adamanip.contract import schema
+from lerobot_adamanip.collection.trained_policy import TrainedPolicy
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.keyframes import CLOSED_HAND, KeyFrameLabels
 from lerobot_adamanip.contract.rotations import pose_from_vector
+from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
-Pipeline = PolicyProcessorPipeline[Any, Any]
-COLUMNS = {schema.POINT_CLOUD: "point_cloud", schema.STATE: "agent_pos", schema.EFFORT: "effort"}
 SMALL_M, SMALL_RAD, ELSEWHERE_M = 0.01, 0.1, 0.05
 AFTER_A_SEARCH, SMALL, AT_ONCE, ANOTHER = "after a search", "small", "at once", "another motion"
 
@@ -61,20 +54,17 @@ def kind(failed: Step, between: list[Step], again: Step) -> str:
     distance = max((float(np.linalg.norm(step.reached[:3, 3] - start)) for step in between), default=0.0)
     if distance > ELSEWHERE_M and any(step.opening > CLOSED_HAND for step in between):
         return AFTER_A_SEARCH
-    motion = np.linalg.inv(again.before) @ again.commanded
-    turn = Rotation.from_matrix(motion[:3, :3]).magnitude()
-    return SMALL if np.linalg.norm(motion[:3, 3]) < SMALL_M and turn < SMALL_RAD else AT_ONCE
+    way, turn = pose_error(again.before, again.commanded)
+    return SMALL if way < SMALL_M and turn < SMALL_RAD else AT_ONCE
 
 
-def played(env: KeyframeEnv, policy: PreTrainedPolicy, before: Pipeline, after: Pipeline, seed: int) -> list[Step]:
+def played(env: KeyframeEnv, policy: TrainedPolicy, seed: int) -> list[Step]:
     """Returns the key frames of an episode."""
     observation, _ = env.reset(seed=seed)
-    torch.manual_seed(seed)
-    policy.reset()
+    policy.reset(seed)
     steps, has_ended = list[Step](), False
     while not has_ended:
-        batch = {column: torch.from_numpy(observation[key])[None] for column, key in COLUMNS.items()}
-        action, hand = after(policy.select_action(before(batch)))[0].numpy(), env.feedback.tcp_in_base
+        action, hand = policy.act(observation, env.task), env.feedback.tcp_in_base
         observation, _, terminated, truncated, _ = env.step(action)
         commanded, opening = pose_from_vector(action)
         steps.append(Step(hand, commanded, opening, env.feedback.tcp_in_base, env.labels))
@@ -85,21 +75,19 @@ def played(env: KeyframeEnv, policy: PreTrainedPolicy, before: Pipeline, after: 
 def main() -> int:
     """Prints the number of next tries of each kind."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("checkpoint")
+    parser.add_argument("checkpoint", type=Path)
     parser.add_argument("--category", choices=tuple(CATEGORIES), default="safe")
     parser.add_argument("--scenes", type=int, default=60, help="number of validation scenes")
     parser.add_argument("--first-seed", type=int, default=610000)
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     options = parser.parse_args()
 
-    config = PreTrainedConfig.from_pretrained(options.checkpoint)
     with contextlib.redirect_stdout(sys.stderr):  # LeRobot prints
-        policy = get_policy_class(config.type).from_pretrained(options.checkpoint)
-    pipelines = make_pre_post_processors(config, pretrained_path=options.checkpoint)
+        policy = TrainedPolicy(options.checkpoint)
     env = KeyframeEnv(options.category, observe_images=False)
     kinds, show = Counter[str](), ProgressLines({"scenes": "scenes"})
     for number in range(options.scenes):
-        steps = played(env, policy, *pipelines, options.first_seed + number)
+        steps = played(env, policy, options.first_seed + number)
         tries = [index for index, step in enumerate(steps) if step.labels.tried >= 0]
         for this, following in pairwise(tries):
             if steps[this].labels.failed:

@@ -66,8 +66,8 @@ class KeyframesCommand:
     """Distance [m] below which a target counts as reached; farther ones count as stalled."""
 
     successful: bool = False
-    """Count the episodes of a recording in which nobody reported a success, e.g. a rollout, as successes at their last
-    row. Of interventions, only one that lasts to the end of its episode counts."""
+    """Count each episode as a success at its last row, if the recording holds no success, e.g. a rollout. Of
+    interventions, only one that lasts to the end of its episode counts."""
 
     skip_still: bool = False
     """Skip episodes without motion instead of ending with an error."""

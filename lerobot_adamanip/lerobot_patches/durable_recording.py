@@ -239,7 +239,7 @@ class DurableWriter(DatasetWriter):
 
 
 def _count_episode() -> None:
-    """Lets the connected robot's memory start anew: `lerobot-rollout` notifies nobody when an episode begins."""
+    """Counts an episode of the connected robot: its memory starts anew. `lerobot-rollout` does not count them."""
     if (session := ROBOTS.find()) is not None:
         session.episodes += 1
 

@@ -1,4 +1,4 @@
-"""What lies between a failed try and its repetition, on key frames that nobody simulates."""
+"""What lies between a failed try and its repetition, on key frames written by hand, without a simulator."""
 
 from __future__ import annotations
 

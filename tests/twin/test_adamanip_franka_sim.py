@@ -195,7 +195,7 @@ def test_the_first_picture_of_a_scene_is_not_of_the_scene_before(make: Any, proc
 def test_after_a_pause_the_next_observation_has_a_new_picture(
     make: Any, process: FakeProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """An episode is saved, a policy compiles: the camera takes no pictures that nobody reads."""
+    """While an episode is saved or a policy compiles, the camera takes no pictures."""
     monkeypatch.setattr(twin_camera, "WANTED_FOR", 0.05)
     robot = make(clock="realtime", camera_age=0.1)
     robot.get_observation()
