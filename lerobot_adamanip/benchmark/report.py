@@ -12,7 +12,7 @@ from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
-from lerobot_adamanip.evaluation.rates import Rate
+from lerobot_adamanip.evaluation.rates import Mean, Rate, rate
 from lerobot_adamanip.evaluation.results import CellRun, ResultFile, TrainingLog
 
 KEY_FRAME_BUDGETS = (10, 15, 25)
@@ -141,7 +141,7 @@ class BenchmarkReport:
             if all(one and other and scenes_of(one) == scenes_of(other) for one, other in both):
                 rows = [(one.rows[0], other.rows[0]) for one, other in both if one and other]
                 pairs[seed] = [(one.scene_outcomes, other.scene_outcomes) for one, other in rows]
-                repeats = next((_repeats(one) for one, _ in both if one), 1)
+                repeats = next((repeats_of(one) for one, _ in both if one), 1)
         lengths = {len(first) for several in pairs.values() for first, _ in several}
         return paired_difference(pairs, min_outcome, repeats) if len(lengths) == 1 else None
 
@@ -162,6 +162,26 @@ class BenchmarkReport:
         if len(shares) < len(self.categories):
             return []
         return [sum(column) / len(shares) for column in zip(*shares, strict=True)]
+
+    def by_turn(self, method: str, objects: str) -> list[tuple[Rate, Mean]]:
+        """Returns the success, and the failed tries of a success, of each time that a scene is played in a row.
+
+        Pooled over the categories; a scene's failed tries count as at most `MAX_COUNTED_TRIES`. Empty if no scene is
+        played again.
+        """
+        turns: dict[int, list[str]] = {}
+        for result in (result for entry in self.of(method, objects) for result in entry.results):
+            row, repeats = result.rows[0], repeats_of(result)
+            tries = [
+                "" if pair[0] == FAILED else pair[1] for pair in zip(row.scene_outcomes, row.scene_tries, strict=False)
+            ]
+            for turn in range(repeats if repeats > 1 else 0):
+                turns.setdefault(turn, []).extend(tries[turn::repeats])
+        opened = [[int(each) for each in tries if each] for tries in turns.values()]
+        return [
+            (rate(len(some), len(tries)), Mean(sum(some), len(some)))
+            for some, tries in zip(opened, turns.values(), strict=True)
+        ]
 
     def runs_of(self, method: str) -> list[CellRun]:
         """Returns the `CellRun` of each result of a method."""
@@ -199,7 +219,8 @@ def scenes_of(result: ResultFile) -> tuple[object, ...]:
     return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), deciding
 
 
-def _repeats(result: ResultFile) -> int:
+def repeats_of(result: ResultFile) -> int:
+    """Returns how many times in a row an evaluation plays each scene."""
     return int(evaluation_options(result.command).get("--env.repeats", 1))
 
 

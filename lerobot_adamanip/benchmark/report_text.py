@@ -14,6 +14,7 @@ from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.paired import OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.provenance import machine_text
+from lerobot_adamanip.evaluation.rates import show
 from lerobot_adamanip.evaluation.results import CellRun, StepCost
 from lerobot_adamanip.evaluation.text_format import counted, duration_text, markdown_table, percent_text, words
 
@@ -46,6 +47,7 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
     tables = {
         "Means over the categories": means_table(report),
         "By category: opened/within [%]": category_table(report),
+        "Each time that a scene is played": turns_table(report),
         "Differences in the same scenes": differences_table(report),
         "Budget": budget_table(report),
         "Cost": _costs(report) if report.results else "",
@@ -172,6 +174,19 @@ def _cell(entry: Entry | None, paper: tuple[float, float] | None) -> str:
     both = [entry.metrics.success, entry.metrics.within_best_tries]
     numbers = [f"{100 * one.rate:.1f}".removesuffix(".0") for one in both if one and one.rate is not None]
     return " ".join(filter(None, ("/".join(numbers), BELOW_PAPER * is_below + entry.marks)))
+
+
+def turns_table(report: BenchmarkReport) -> str:
+    """Returns successes and their failed tries each time that a scene is played; empty if none is played again."""
+    shown = {(name, objects): report.by_turn(name, objects) for name in report.methods for objects in report.splits}
+    count = max(map(len, shown.values()), default=0)
+    rows = [
+        [f"{report.titles[name]}, {objects}", *(f"{percent_text(one.rate)}, {show(tries)}" for one, tries in turns)]
+        for (name, objects), turns in shown.items()
+        if turns
+    ]
+    titles = [f"time {number}: opened, failed tries of a success" for number in range(1, count + 1)]
+    return markdown_table(["method, objects", *titles], rows) if rows else ""
 
 
 def differences_table(report: BenchmarkReport) -> str:

@@ -191,6 +191,20 @@ def test_episodes_that_play_one_scene_are_one_scene_of_a_difference(cells: Path)
     assert report_of(cells).paired(*both) == once
 
 
+def test_a_scene_that_is_played_again_has_a_column_for_each_time(cells: Path) -> None:
+    heading = "Each time that a scene is played"
+    assert heading not in benchmark_page(report_of(cells))
+    for path in cells.glob("ours-*-seen-*.json"):
+        metrics = Metrics(rate(5, 6), rate(4, 6))
+        row = {"scene_outcomes": "212" + "202", "scene_tries": "190" + "120", "metrics": metrics}
+        change(path, row=row, command=f"{read_result(path).command} --env.repeats=3")
+    shown = {
+        title.partition(":")[0]: cell
+        for title, cell in table(benchmark_page(report_of(cells)), heading)["Ours, seen"].items()
+    }
+    assert (shown["time 1"], shown["time 2"], shown["time 3"]) == ("100.0 %, 1.00", "50.0 %, 9.00", "100.0 %, 0.00")
+
+
 def test_the_curve_over_failed_tries_rises_to_the_success(cells: Path) -> None:
     report = report_of(cells)
     shares = report.opened_with("ours", "seen")
