@@ -44,7 +44,7 @@ WRONG: dict[str, list[dict[str, Any]]] = {
     "dp3_adaptive": [
         {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
         {"num_refinements": -1}, {"inference": Inference(memory=False), "preset": "dp3"},
-        {"inference": Inference(temperature=0.0)},
+        {"inference": Inference(temperature=0.0)}, {"inference": Inference(latest_events=-1)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"}, {"use_feedback": "false"},
         {"num_points": "64"}, {"optimizer_lr": "small"}, {"inference": Inference(rules="false")},  # type: ignore[arg-type]

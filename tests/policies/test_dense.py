@@ -242,7 +242,8 @@ def test_data_without_clouds_name_the_options_that_record_them(refuses: Any) -> 
 def test_rules_of_key_frames_cannot_be_switched_at_control_rate(refuses: Any) -> None:
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
-    assert not DP3AdaptiveConfig(preset="dense", device="cpu", inference=Inference(memory=False)).inference.memory
+    for used in (Inference(memory=False), Inference(latest_events=1)):
+        assert DP3AdaptiveConfig(preset="dense", device="cpu", inference=used).inference == used
     for wrong in (Inference(no_repeat=True), Inference(rules=True)):
         refuses(AdaManipError, lambda wrong=wrong: DP3AdaptiveConfig(preset="dense", device="cpu", inference=wrong))
 

@@ -125,6 +125,8 @@ class Inference:
 
     # Use the learned memory of contact events.
     memory: bool = True
+    # Number of the latest contact events that the memory reads; 0 for all.
+    latest_events: int = 0
     # Divides the scores of the anchors before one is drawn: below 1, unlikely motions are drawn less often.
     temperature: float = 0.25
     # Turn on all hand-written rules below. Without them, all that the policy does is learned.
@@ -289,7 +291,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     def _has_unused_rules(self) -> bool:
         """Whether ``inference`` switches what this preset does not have."""
-        used = self.inference if self.method.frame == "base" else replace(self.inference, memory=True)
+        used = self.inference if self.method.frame == "base" else replace(self.inference, memory=True, latest_events=0)
         return used != Inference() and not self.method.has_rules
 
     def _check_sizes(self) -> None:
@@ -312,6 +314,13 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         if not self.inference.temperature > 0.0:
             raise self._error(
                 "Not a temperature.", ["inference"], "a number above 0", "--policy.inference.temperature=0.25"
+            )
+        if self.inference.latest_events < 0:
+            raise self._error(
+                "Not a number of events.",
+                ["inference"],
+                "0 for all, or 1 or more",
+                "--policy.inference.latest_events=1",
             )
         if not 0.0 <= self.augmentation_mirror <= 1.0:
             raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")

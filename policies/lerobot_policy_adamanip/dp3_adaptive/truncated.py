@@ -105,6 +105,8 @@ class ToolHead(nn.Module):
         past = self.past(window)
         contact = past.contact | past.missed if self.READS_MISSES else past.contact
         read = contact if self.config.memory_kind == EVENTS else past.valid
+        if (latest := self.config.inference.latest_events) and not self.training:
+            read = read & (read.flip(1).cumsum(dim=1).flip(1) <= latest)
         return past.events(feedback=self.config.use_feedback), read
 
     def point_inputs(self, window: Window) -> Tensor:

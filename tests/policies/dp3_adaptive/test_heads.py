@@ -162,6 +162,20 @@ def test_each_kind_of_memory_reads_its_key_frames(make_anchors: MakeTiny, batch_
     assert not added[~read.any(dim=1)].any()
 
 
+@pytest.mark.parametrize("latest", [1, 2])
+def test_an_evaluation_may_read_the_latest_events_alone(make_anchors: MakeTiny, batch_of: Any, latest: int) -> None:
+    policy, before, _, dataset = make_anchors(memory_kind="window")
+    window, *_ = policy.training_window(batch_of(dataset, before))
+    every = policy.model.remembered(window)[1]
+    policy.config.inference.latest_events = latest
+    assert torch.equal(policy.model.remembered(window)[1], every), "a training reads all"
+    read = policy.eval().model.remembered(window)[1]
+    for row, kept in zip(every.tolist(), read.tolist(), strict=True):
+        events = [step for step, is_event in enumerate(row) if is_event]
+        assert [step for step, is_read in enumerate(kept) if is_read] == events[-latest:]
+    assert every.sum(dim=1).max() > latest
+
+
 def test_a_code_learns_the_past_motions_and_nothing_from_the_policy() -> None:
     torch.manual_seed(0)
     code, happened = MotionCode(64, 4), torch.randn(8, 4, EVENT_DIM)
