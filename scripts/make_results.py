@@ -8,7 +8,7 @@ were measured with another simulation version than the present one.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 from check_common import ROOT, document_command
@@ -25,10 +25,8 @@ from lerobot_adamanip.evaluation.text_format import csv_table, duration_text, ma
 
 IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
-MEANS: dict[str, Callable[[BenchmarkReport], str]] = {"test": summary}
-"""Scale -> its means in the README."""
-NOT_IN_README = ("| dp3_adaptive with rules |", "| rules without a memory |")
-"""Starts of rows that docs/results.md and docs/memory.md have; the README shows at most six."""
+MEANS = {"test": ("dp3_adaptive", "without_memory", "never_with_memory", "mm20", "mm20_calibrated", "d435_calibrated")}
+"""Scale -> methods whose means the README shows; docs/results.md has all."""
 SCALES = ("test", "paper", "one_object", "control_rate", "paper_0_2")
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
@@ -148,14 +146,13 @@ def readme_block(results: Mapping[str, ResultFile], reports: Iterable[BenchmarkR
     """Returns the README block with both markers: the files of `IN_README`, and the means of `MEANS`."""
     shown = [result for name, result in results.items() if name in IN_README]
     uniform = {report.scale: report for report in reports if _is_uniform(report)}
-    means = {scale: text(uniform[scale]) for scale, text in MEANS.items() if scale in uniform}
+    means = {scale: summary(uniform[scale], methods) for scale, methods in MEANS.items() if scale in uniform}
     parts = [
         f"{result.title} ({_scenes(result)}): {row.metrics.show('success')}\n"
         for result in shown
         for row in result.rows
     ]
-    tables = ([line for line in table.split("\n") if not line.startswith(NOT_IN_README)] for table in means.values())
-    parts += ["\n".join([*lines, ""]) for lines in tables if any(lines)]
+    parts += [f"{table}\n" for table in means.values() if table]
     note = _versions_note([*shown, *(result for scale in means for result in uniform[scale].results)])
     sources = "Commands, seeds and commits are in `results/`; all categories in [results](docs/results.md)."
     return "\n".join([START, *parts, f"{note} {sources}".strip() if parts else NOTHING, END])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, reported, reported_mean
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
@@ -57,10 +57,10 @@ def benchmark_page(report: BenchmarkReport, level: int = 1) -> str:
     return "\n".join(parts)
 
 
-def summary(report: BenchmarkReport) -> str:
-    """Returns the means of the methods that have results of all categories, as a short table; empty without any."""
+def summary(report: BenchmarkReport, methods: Collection[str]) -> str:
+    """Returns the means of those methods that have results of all categories, as a short table; empty without any."""
     rows = []
-    for name in report.methods:
+    for name in (name for name in report.methods if name in methods):
         means = [(report.mean(name, objects), report.mean(name, objects, within)) for objects in report.splits]
         if means[0][0] is not None:
             marks = [_marks(report.of(name, objects)) for objects in report.splits]
