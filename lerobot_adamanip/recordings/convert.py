@@ -44,8 +44,8 @@ class ConvertOptions:
         rows: points, images and workspace; a mix takes them from its simulated datasets.
         camera: key of the camera whose depth becomes the cloud.
         calibration: camera calibration file; None uses the file in each recording.
-        successful: whether the episodes of a recording in which nobody reported a success count as successful at their
-            last row. Of interventions, that is one that lasts to the end of the episode.
+        successful: whether episodes count as successful at their last row, in recordings without a reported success.
+            Of interventions, only one that lasts to the end of its episode counts.
         skip_still: whether to skip episodes without motion instead of raising an error.
         repo_id: dataset name; default ``local/<folder name>``.
     """
