@@ -208,7 +208,8 @@ def differences_table(report: BenchmarkReport) -> str:
 def _difference(gap: PairedDifference) -> str:
     trainings = ", ".join(f"{100 * value:+z.0f}" for value in gap.by_training.values())
     each = f" ({trainings})" if len(gap.by_training) > 1 else ""
-    return f"{100 * gap.difference:+z.0f} [{100 * gap.low:+z.0f}, {100 * gap.high:+z.0f}]{each}"
+    # A limit of -0 is below zero: chance alone may explain the difference.
+    return f"{100 * gap.difference:+z.0f} [{100 * gap.low:+.0f}, {100 * gap.high:+.0f}]{each}"
 
 
 def budget_table(report: BenchmarkReport) -> str:
