@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from collections.abc import Sequence
 from pathlib import Path
@@ -15,6 +16,7 @@ from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES, PairedDifference
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
+from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
 ROOT = Path(__file__).resolve().parents[1]
 TEST = ROOT / "results" / "benchmark" / "test"
@@ -182,6 +184,23 @@ def test_rules_beside_and_instead_of_the_memory_differ_as_said() -> None:
         *(gain(WITHIN_TRIES, methods=pair) for pair in pairs)
     )
     assert text in DOCUMENTS["docs/memory.md"].replace(" points [", " [")
+
+
+def test_each_rule_alone_has_the_counts_of_its_cells() -> None:
+    places, text = ("bottle", "safe", "door"), DOCUMENTS["docs/memory.md"]
+    rules = [item.name for item in dataclasses.fields(Inference) if REPORTS["test"].of(item.name, "seen")]
+    assert len(rules) == 7
+    effects = {rule: gap(WITHIN_TRIES, categories=places, methods=(rule, "without_memory")) for rule in rules}
+    for rule in rules:
+        cells = " | ".join(counts(metrics(rule, category)) for category in places)
+        difference = gain(WITHIN_TRIES, categories=places, methods=(rule, "without_memory"))
+        assert f"| `{rule}` | {cells} | {difference} |" in text
+    assert [rule for rule, effect in effects.items() if effect.low > 0] == ["no_repeat"]
+    every, memory = (
+        gain(WITHIN_TRIES, categories=places, methods=pair)
+        for pair in (("rules_alone", "without_memory"), ("dp3_adaptive", "no_repeat"))
+    )
+    assert f"together are {every}, and the memory is {memory} better than `no_repeat`" in text
 
 
 def test_a_policy_that_never_had_a_memory_is_behind_by_what_is_said() -> None:
