@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from lerobot_adamanip.evaluation.metrics import METRICS
 from lerobot_adamanip.evaluation.rates import success_summary
-from lerobot_adamanip.evaluation.results import ResultFile
+from lerobot_adamanip.evaluation.results import ResultFile, ResultRow
 from lerobot_adamanip.evaluation.text_format import markdown_table, words
 
 if TYPE_CHECKING:
@@ -48,33 +49,41 @@ def _table(result: ResultFile) -> str:
 
 
 def eval_results(results: Sequence[ResultFile]) -> list[EvalResult]:
-    """Returns results as rows of a card's `model-index`.
+    """Returns results as rows of a card's `model-index`, each with its own scenes, seeds, counts and command.
 
-    ``dataset_split`` is the object split (seen, unseen, novel). The scene split and the seeds are arguments.
+    The Hub's library joins rows of equal identity and keeps the arguments of the first. So ``dataset_split`` names
+    objects and scenes, and ``dataset_config`` numbers further results in the same scenes.
     """
+    index = [_eval_result(each, row) for each in results for row in each.rows]
+    same = Counter[tuple[Any, ...]]()
+    for one in index:
+        same[identity := one.unique_identifier] += 1
+        if same[identity] > 1:
+            one.dataset_config = f"{one.dataset_config}, result {same[identity]}"
+    return index
+
+
+def _eval_result(result: ResultFile, row: ResultRow) -> EvalResult:
     from huggingface_hub import EvalResult
 
-    return [
-        EvalResult(
-            task_type="robotics",
-            task_name="articulated manipulation under hidden state",
-            dataset_type=f"adamanip_{row.category}",
-            dataset_name=f"AdaManip {words(row.category)}, {row.objects} objects",
-            dataset_config=row.mechanism_rules,
-            dataset_split=row.objects,
-            dataset_args={
-                "scenes": each.scenes,
-                "seeds": list(each.seeds),
-                "episodes": row.metrics.success.episodes,
-                **success_summary(row.metrics.success),
-                "command": each.command,
-                "commit": each.commit,
-            },
-            dataset_revision=f"simulation-version-{each.simulation_version}",
-            metric_type="success_rate",
-            metric_name=f"success rate ({row.subject})",
-            metric_value=round(row.metrics.success.rate or 0.0, 4),
-        )
-        for each in results
-        for row in each.rows
-    ]
+    scenes = "scenes" if result.scenes is None else f"{result.scenes} scenes"
+    return EvalResult(
+        task_type="robotics",
+        task_name="articulated manipulation under hidden state",
+        dataset_type=f"adamanip_{row.category}",
+        dataset_name=f"AdaManip {words(row.category)}, {row.objects} objects",
+        dataset_config=row.mechanism_rules,
+        dataset_split=f"{row.objects} objects, {scenes} {result.seeds[0]} to {result.seeds[1]}",
+        dataset_args={
+            "scenes": result.scenes,
+            "seeds": list(result.seeds),
+            "episodes": row.metrics.success.episodes,
+            **success_summary(row.metrics.success),
+            "command": result.command,
+            "commit": result.commit,
+        },
+        dataset_revision=f"simulation-version-{result.simulation_version}",
+        metric_type="success_rate",
+        metric_name=f"success rate ({row.subject})",
+        metric_value=round(row.metrics.success.rate or 0.0, 4),
+    )

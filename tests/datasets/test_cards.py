@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import getpass
 import json
 import re
@@ -15,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from huggingface_hub import ModelCard
+from huggingface_hub.repocard_data import eval_results_to_model_index, model_index_to_eval_results
 
 from lerobot_adamanip.cli.main import parse_command
 from lerobot_adamanip.contract import schema
@@ -25,6 +27,7 @@ from lerobot_adamanip.datasets.manifest import Manifest, read_manifest
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.evaluation.results import command_options, read_result
 from lerobot_adamanip.hub.model_card import Checkpoint, model_card
+from lerobot_adamanip.hub.model_index import eval_results
 from lerobot_adamanip.hub.scan import Names, scan
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_env_adamanip.sim import render_device
@@ -184,7 +187,8 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     success = result.rows[0].metrics.success
     (found,) = card.data.eval_results
     assert (found.metric_type, found.metric_value) == ("success_rate", round(success.count / success.episodes, 4))
-    assert (found.dataset_type, found.dataset_split) == ("adamanip_safe", "seen")
+    scenes = "seen objects, {} scenes {} to {}".format(result.scenes, *result.seeds)
+    assert (found.dataset_type, found.dataset_config, found.dataset_split) == ("adamanip_safe", "paper", scenes)
     assert found.dataset_args["command"] == result.command
     assert (found.dataset_args["n_success"], found.dataset_args["n_episodes"]) == (success.count, success.episodes)
     assert f"{success.count}/{success.episodes}: " in card.text
@@ -192,6 +196,24 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     assert card.data.datasets == ["someone/safes"]
     assert "1.5 M parameters" in card.text
     assert "--steps=5" in card.text
+
+
+def test_each_value_of_the_index_keeps_the_arguments_of_its_own_result(project_root: Path) -> None:
+    """The Hub's library joins rows of equal identity, and would keep the arguments of the first."""
+    cells = project_root / "results" / "benchmark" / "test"
+    one, other = (read_result(cells / f"{name}-safe-seen-1000.json") for name in ("dp3_adaptive", "without_memory"))
+    two_labels = dataclasses.replace(one, rows=(*one.rows, *other.rows))
+    results = [two_labels, other, dataclasses.replace(other, scenes="validation", seeds=(600000, 600099))]
+    content = eval_results_to_model_index("policy", eval_results(results))
+    _, index = model_index_to_eval_results(content)
+    expected = [
+        (each.scenes, list(each.seeds), each.command, row.metrics.success.count, row.metrics.success.rate)
+        for each in results
+        for row in each.rows
+    ]
+    names = ("scenes", "seeds", "command", "n_success")
+    shown = [(*((each.dataset_args or {})[name] for name in names), each.metric_value) for each in index]
+    assert shown == expected
 
 
 def test_a_policy_at_control_rate_says_how_it_is_evaluated(project_root: Path) -> None:
