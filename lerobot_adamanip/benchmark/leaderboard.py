@@ -48,6 +48,7 @@ COLUMNS = {
 }
 """Scale and split of objects -> title of its column."""
 DECLARATION = "declaration.toml"
+_NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,59}"
 REFERENCE = "dp3_adaptive"
 """Method of `TRACKS` whose scenes an entry is evaluated in."""
 RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
@@ -112,6 +113,13 @@ class LeaderboardEntry:
 
 def read_entry(folder: Path) -> LeaderboardEntry:
     """Reads an entry; raises `DatasetError` that says what it lacks, and `ConfigurationError` for its declaration."""
+    if not re.fullmatch(_NAME, folder.resolve().name):
+        raise DatasetError(
+            "An entry of the leaderboard is named by its folder.",
+            got=folder.resolve().name,
+            allowed="1 to 60 ASCII letters, digits, '.', '_' and '-', a letter or digit first",
+            hint="rename the folder",
+        )
     declaration = read_declaration(folder / DECLARATION)
     results = {scale: list(read_results(folder / scale).values()) for scale in SCALES}
     if lacking := list(problems(declaration, results)):

@@ -8,7 +8,7 @@ from typing import Any
 
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, reported
 from lerobot_adamanip.benchmark.report import BenchmarkReport
-from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, new_figure, save_figure
+from lerobot_adamanip.evaluation.plots import bar_places, draw_bars, new_figure, plain_text, save_figure
 from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.text_format import words
 
@@ -47,7 +47,7 @@ def _plot_lines(
     axes.set_prop_cycle(color=_colors(len(lines)))
     for name, y in lines.items():
         if y:
-            axes.plot(x[: len(y)], y, marker=marker, label=name)
+            axes.plot(x[: len(y)], y, marker=marker, label=plain_text(name))
     axes.set(**settings)
     figure.legend(loc="outside lower center", ncols=2, fontsize=6, frameon=False)
     save_figure(figure, title, path)

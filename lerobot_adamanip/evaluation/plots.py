@@ -48,12 +48,20 @@ def plot_evaluations(evaluations: Mapping[str, Sequence[EpisodeRecord]], path: P
     for label, records in evaluations.items():
         so_far = cumulative_rates(records)
         counts = range(1, len(so_far) + 1)
-        (line,) = curve.plot(counts, [100 * (one.rate or 0.0) for one in so_far], label=label, linewidth=1.8)
+        (line,) = curve.plot(
+            counts, [100 * (one.rate or 0.0) for one in so_far], label=plain_text(label), linewidth=1.8
+        )
         low, high = [100 * one.low for one in so_far], [100 * one.high for one in so_far]
         curve.fill_between(counts, low, high, alpha=0.15, color=line.get_color(), linewidth=0)
     curve.set(xlabel="episodes", ylabel="success so far [%]", ylim=(0, 103))
     curve.xaxis.set_major_locator(MaxNLocator(integer=True))
     save_figure(figure, comparison.title, path)
+
+
+def plain_text(text: str) -> str:
+    """Returns text that Matplotlib draws as it is: no formula between ``$``, and a legend shows its leading ``_``."""
+    escaped = text.replace("$", r"\$")
+    return f" {escaped}" if text[:1] in ("", "_") else escaped
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -71,7 +79,7 @@ def save_figure(figure: Figure, title: str, path: Path) -> None:
     for axes in figure.axes:
         axes.grid(axis="y", alpha=0.3)
         axes.spines[["top", "right"]].set_visible(False)
-    figure.suptitle(title, fontsize=11)
+    figure.suptitle(plain_text(title), fontsize=11)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=130)
 
@@ -96,7 +104,9 @@ def draw_bars(axes: Axes, names: Sequence[str], bars: Mapping[str, Sequence[Rate
         bounds = [(100 * one.low, 100 * one.high) if one.episodes else (0.0, 0.0) for one in rates]
         below = [height - low for height, (low, _) in zip(heights, bounds, strict=True)]
         above = [high - height for height, (_, high) in zip(heights, bounds, strict=True)]
-        axes.bar(places, heights, 0.92 * width, yerr=[below, above], capsize=1.5, label=label, ecolor="0.25")
+        axes.bar(
+            places, heights, 0.92 * width, yerr=[below, above], capsize=1.5, label=plain_text(label), ecolor="0.25"
+        )
         for x, one in zip(places, rates, strict=True):
             if not one.episodes:
                 axes.text(x, 0, "no number", rotation=90, fontsize=6, color="0.5", ha="center", va="bottom")

@@ -89,6 +89,12 @@ def test_the_best_entry_comes_first(enter: MakeEntry) -> None:
     assert "No entry yet." in leaderboard_page({})
 
 
+@pytest.mark.parametrize("name", ["<img src=x>", "a|b", "[x](y)", "*", "_x_", "a`b", "x" * 61])
+def test_an_entrys_name_is_no_markup(enter: MakeEntry, name: str) -> None:
+    with pytest.raises(DatasetError, match="named by its folder"):
+        read_entry(enter(name, 30))
+
+
 def test_an_entry_of_an_earlier_simulation_version_comes_last_and_says_so(enter: MakeEntry) -> None:
     folders = enter("old", 48, simulation_version=1), enter("weak", 12), enter("strong", 24)
     page = leaderboard_page({path.name: read_entry(path) for path in folders})

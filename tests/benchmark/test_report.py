@@ -12,6 +12,7 @@ from typing import Any
 
 import pytest
 from benchmark_helpers import SCALE, FakeRunner, benchmark, content, declared, run_all
+from matplotlib.figure import Figure
 from PIL import Image
 
 from lerobot_adamanip.benchmark.declaration import Declaration
@@ -312,6 +313,22 @@ def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
     assert counts == {"collecting": "8", "training": "8", "evaluating": "20"}
     assert "on 2 cores, no GPU\n" in page
     assert machine_text({"cores": 1, "gpu": True}) == "1 core, a GPU"
+
+
+def test_titles_of_methods_are_no_markup_in_pictures(
+    cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    report, drawn = report_of(cells), list[list[str]]()
+
+    def save(figure: Figure, path: Path, **options: Any) -> None:
+        original(figure, path, **options)
+        drawn.append([text.get_text().replace(r"\$", "$").strip() for text in figure.legends[0].texts])
+
+    original = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", save)
+    titles = {name: rf"_{name}, lr $\eta$=1, $\5$" for name in report.titles}
+    plot_report(dataclasses.replace(report, titles=titles), tmp_path / "new")
+    assert drawn == [[titles[name] for name in report.methods]] * 2
 
 
 def test_pictures_are_drawn_also_where_a_number_is_missing(cells: Path, tmp_path: Path) -> None:

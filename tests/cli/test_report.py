@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 from records import record
 
@@ -210,6 +211,24 @@ def test_the_picture_is_drawn(logs: tuple[str, str], tmp_path: Path, capsys: pyt
         colors = image.convert("RGB").getcolors(1 << 24)
     assert colors is not None
     assert len(colors) > 20
+
+
+def test_labels_are_no_markup_in_pictures(
+    logs: tuple[str, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels, drawn = [r"lr $\eta$=1, $\5$", "_hidden"], list[str]()
+
+    def save(figure: Figure, path: Path, **options: Any) -> None:
+        original(figure, path, **options)
+        legend = figure.axes[0].get_legend()
+        assert legend is not None
+        drawn.extend(text.get_text().replace(r"\$", "$").strip() for text in legend.texts)
+
+    original = Figure.savefig
+    monkeypatch.setattr(Figure, "savefig", save)
+    picture = str(tmp_path / "curve.png")
+    assert cli.main(["report", *logs, "--label", *labels, "--out", picture]) == 0
+    assert drawn == labels
 
 
 @pytest.mark.parametrize(
