@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from fractions import Fraction
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of
@@ -105,6 +107,7 @@ class EvaluationSummary:
         episodes: number of unique episodes.
         repeats: number of dropped records whose episode appears again later.
         groups: metrics of each group; `ALL` always exists and comes first.
+        composition: number of episodes of each category and split of objects, ``seen safe``, in each group.
         objects: success by object id.
         again: number of a repeat of a scene, 0 for the first episode -> success, and mean failed tries of its
             successes; empty if no scene is repeated.
@@ -119,6 +122,7 @@ class EvaluationSummary:
     episodes: int
     repeats: int
     groups: Mapping[Group, Metrics]
+    composition: Mapping[Group, Counter[str]]
     objects: Mapping[str, Rate]
     made_by: Mapping[str, tuple[str, ...]]
     versions: Sequence[Mapping[str, str]]
@@ -172,13 +176,17 @@ def summarise(records: Sequence[EpisodeRecord], boundaries: Boundaries | None = 
         boundaries: boundaries of continuous hidden values, see `hidden_boundaries`; by default those of these records.
     """
     kept = without_repeats(records)
-    objects: dict[str, list[bool]] = {}
+    groups, objects = group_records(kept, boundaries), dict[str, list[bool]]()
     for record in kept:
         objects.setdefault(record.object_id, []).append(record.success)
     return EvaluationSummary(
         episodes=len(kept),
         repeats=len(records) - len(kept),
-        groups={group: measure(part) for group, part in group_records(kept, boundaries).items()},
+        groups={group: measure(part) for group, part in groups.items()},
+        composition={
+            group: Counter(f"{one.object_split or 'external'} {one.category}" for one in part)
+            for group, part in groups.items()
+        },
         objects={name: rate(sum(successes), len(successes)) for name, successes in sorted(objects.items())},
         made_by={name: tuple(sorted({str(getattr(one.provenance, name)) for one in kept})) for name in _MADE_BY},
         versions=[record.provenance.versions for record in kept],
@@ -200,7 +208,7 @@ def _again(records: Sequence[EpisodeRecord]) -> dict[int, tuple[Rate, Mean]]:
 
 @dataclass(frozen=True)
 class GroupDifference:
-    """Success of the first evaluation minus that of another, in a group that both have."""
+    """Success of the first evaluation minus that of another, in a group of equal composition."""
 
     first: str
     second: str
@@ -215,6 +223,7 @@ class Comparison:
     Attributes:
         summaries: by label, with equal boundaries of continuous hidden values.
         differences: success of the first evaluation minus that of each other one on the same scene split, by group.
+            Without groups in which the two have different shares of categories or splits of objects.
         extra_tries: label of another evaluation -> failed tries of the first minus its own, where both succeeded.
     """
 
@@ -311,8 +320,24 @@ class Comparison:
                 pairs = zip(self.summaries, values_by_label, strict=True)
                 texts = "; ".join(f"{label} {', '.join(values)}" for label, values in pairs)
                 yield f"not to be compared: {what} differ ({texts})"
+        yield from self._not_compared()
         if mixed := mixed_versions(versions for summary in summaries for versions in summary.versions):
             yield f"measured with different versions installed: {mixed}"
+
+    def _not_compared(self) -> Iterator[str]:
+        """Yields which groups of two evaluations have no difference, and the episodes of the first such group."""
+        (first, reference), *others = self.summaries.items()
+        compared = {(one.second, one.group) for one in self.differences}
+        for label, summary in others:
+            shared = [group for group in self.groups if group in reference.groups and group in summary.groups]
+            unlike = [group for group in shared if (label, group) not in compared]
+            if unlike and summary.scenes == reference.scenes:
+                own, other = (
+                    ", ".join(f"{name} {count}" for name, count in one.composition[unlike[0]].items())
+                    for one in (reference, summary)
+                )
+                names = ", ".join(group.label for group in unlike)
+                yield f"{first} - {label}, no difference in {names}: other categories or objects ({own}; {other})"
 
     def to_json(self) -> dict[str, Any]:
         """Returns ``evaluations`` (label, metrics, groups as a list), ``differences`` and ``warnings``."""
@@ -325,6 +350,10 @@ class Comparison:
             "extra_tries": encode(self.extra_tries),
             "warnings": list(self.warnings()),
         }
+
+
+def _shares(composition: Counter[str]) -> dict[str, Fraction]:
+    return {name: Fraction(count, composition.total()) for name, count in composition.items()}
 
 
 def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
@@ -341,8 +370,8 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         GroupDifference(first, label, group, difference(reference.success(group), summary.success(group)))
         for label, summary in others
         if summary.scenes == reference.scenes
-        for group in reference.groups
-        if group in summary.groups
+        for group, own in reference.composition.items()
+        if (other := summary.composition.get(group)) and _shares(own) == _shares(other)
     )
     failed_tries = {
         label: {record.scene: record.failed_tries for record in without_repeats(records) if record.success}

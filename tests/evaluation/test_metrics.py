@@ -239,6 +239,38 @@ def test_every_group_that_two_evaluations_share_has_a_difference_parted_at_the_s
     assert Group("hidden", "safe: knob_range < 1.65") in comparison.groups
 
 
+def _of(object_id: str, episodes: int, **changes: Any) -> list[EpisodeRecord]:
+    return [record(seed=k, object_id=object_id, **changes) for k in range(episodes)]
+
+
+@pytest.mark.parametrize(
+    ("one", "two", "without_difference"),
+    [
+        # Two failing policies; only one also played safes.
+        (_of("safe_000", 30) + _of("bottle_000", 30, success=False), _of("bottle_000", 30, success=False), "all, seen"),
+        # The same category, with unseen objects on one side alone.
+        (_of("safe_000", 4), _of("safe_000", 4) + _of("safe_036", 4), "all, safe: direction +1, safe: "),
+        # Equal shares, but more episodes: a comparison of rates.
+        (_of("safe_000", 8) + _of("bottle_000", 8), _of("safe_000", 4) + _of("bottle_000", 4), ""),
+    ],
+)
+def test_a_difference_needs_equal_shares_of_categories_and_objects(
+    one: list[EpisodeRecord], two: list[EpisodeRecord], without_difference: str
+) -> None:
+    comparison = compare({"one": one, "two": two})
+    parts = [group_records(records) for records in (one, two)]
+    for each in comparison.differences:
+        shares = [Counter((r.category, r.object_split) for r in part[each.group]) for part in parts]
+        assert {(kind, count * shares[1].total()) for kind, count in shares[0].items()} == {
+            (kind, count * shares[0].total()) for kind, count in shares[1].items()
+        }
+    assert any(each.success.difference == 0.0 for each in comparison.differences), "what is alike is compared"
+    lines = [line for line in comparison.lines() if "no difference in" in line]
+    assert [line.startswith(f"Warning: one - two, no difference in {without_difference}") for line in lines] == (
+        [True] if without_difference else []
+    )
+
+
 def test_failed_tries_are_compared_in_the_scenes_that_both_opened() -> None:
     mine = [record(seed=1, wrong_turns=3), record(seed=2, wrong_turns=1), record(seed=3), record(seed=4, success=False)]
     expert = [record(seed=1, wrong_turns=1), record(seed=2), record(seed=4), record(seed=5)]
