@@ -166,8 +166,8 @@ class BenchmarkReport:
     def by_turn(self, method: str, objects: str) -> list[tuple[Rate, Mean]]:
         """Returns the success, and the failed tries of a success, of each time that a scene is played in a row.
 
-        Pooled over the categories; a scene's failed tries count as at most `MAX_COUNTED_TRIES`. Empty if no scene is
-        played again.
+        Pooled over the categories; a scene's failed tries count as at most `MAX_COUNTED_TRIES`, and leave out
+        the moved keys of unlocked objects, which `scene_tries` lacks. Empty if no scene is played again.
         """
         turns: dict[int, list[str]] = {}
         for result in (result for entry in self.of(method, objects) for result in entry.results):

@@ -36,6 +36,7 @@ LEGEND = f"""## How to read it
   of demonstrations of its own, and is not corrected for the number of comparisons. Two added scenes keep it from
   collapsing where methods agree. With fixed poses, scenes with equal object and hidden values are nearly one scene, and
   intervals are too narrow. A training in which one of the two lacks a category, or has other scenes, is left out.
+- Failed tries of a time that a scene is played leave out moved keys of unlocked objects; above 9 they count as 9.
 - Budgets are means over a method's trainings. Minutes are of corrections and trainings, and depend on the machine's
   other load. The last column is the change of the training loss from the last but one fifth of the last training to its
   last fifth: a loss that falls there has not converged.

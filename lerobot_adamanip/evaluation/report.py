@@ -12,7 +12,7 @@ from typing import Any
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.versions import joined_versions, mixed_versions
 from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_by_kind
-from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, measure
+from lerobot_adamanip.evaluation.metrics import METRICS, Metrics, count_tries, measure
 from lerobot_adamanip.evaluation.rates import Difference, Mean, Rate, difference, encode, rate
 from lerobot_adamanip.evaluation.record import (
     LIMITS,
@@ -201,7 +201,7 @@ def _again(records: Sequence[EpisodeRecord]) -> dict[int, tuple[Rate, Mean]]:
     result = {}
     for number in sorted({record.repeat for record in records}):
         part = [record for record in records if record.repeat == number]
-        tries = [record.failed_tries for record in part if record.success]
+        tries = [count_tries(record) for record in part if record.success]
         result[number] = rate(len(tries), len(part)), Mean(sum(tries), len(tries))
     return result
 
@@ -374,7 +374,7 @@ def compare(evaluations: Mapping[str, Sequence[EpisodeRecord]]) -> Comparison:
         if (other := summary.composition.get(group)) and _shares(own) == _shares(other)
     )
     failed_tries = {
-        label: {record.scene: record.failed_tries for record in without_repeats(records) if record.success}
+        label: {record.scene: count_tries(record) for record in without_repeats(records) if record.success}
         for label, records in evaluations.items()
     }
     extra = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -279,3 +280,19 @@ def test_failed_tries_are_compared_in_the_scenes_that_both_opened() -> None:
     assert "mine - expert, failed tries in the 2 scenes that both opened: +1.50" in list(comparison.lines())
     assert comparison.to_json()["extra_tries"] == {"expert": {"mean": 1.5, "of": 2}}
     assert compare({"mine": mine, "other": [record(seed=9)]}).extra_tries["other"].value is None
+
+
+@given(st.lists(st.tuples(any_record(), st.integers(0, 4), st.booleans()), min_size=1))
+def test_extra_tries_in_the_same_opened_scenes_are_the_difference_of_the_means(
+    drawn: list[tuple[EpisodeRecord, int, bool]],
+) -> None:
+    mine = without_repeats(replace(one, success=True) for one, _, _ in drawn)
+    theirs = [
+        replace(one, try_sequence=((0, 1, True),) * pulls + ((1, 1, False),) * moved)
+        for one, (_, pulls, moved) in zip(mine, drawn, strict=False)
+    ]
+    comparison = compare({"mine": mine, "theirs": theirs})
+    means = [one.overall.failed_tries for one in comparison.summaries.values()]
+    assert comparison.extra_tries["theirs"].value == pytest.approx(means[0].value - means[1].value)  # type: ignore[union-attr, operator]
+    (_, tries) = summarise([mine[0], replace(mine[0], repeat=1)]).again[0]
+    assert tries == measure(mine[:1]).failed_tries
