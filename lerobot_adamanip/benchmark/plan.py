@@ -126,7 +126,7 @@ def select_cells(
     """Returns the selected cells of a scale; an empty filter selects all.
 
     Raises:
-        ConfigurationError: a name is unknown, or the scale has no matching cell.
+        ConfigurationError: a value is unknown, or no selected cell has it.
     """
     for what, names, known in (
         ("method", methods, tuple(declaration.methods)),
@@ -136,25 +136,25 @@ def select_cells(
         for name in names:
             require_choice(what, name, known)
     filters = {"method": methods, "category": categories, "objects": splits, "seed": seeds}
-    cells = [
-        cell
-        for cell in all_cells(declaration, scale)
-        if all(getattr(cell, name) in values for name, values in filters.items() if values)
-    ]
-    if not cells:
-        chosen = declaration.scale(scale)
-        possible = {"categories": chosen.categories, "splits": chosen.splits, "seeds": chosen.seeds}
-        raise ConfigurationError(
-            f"The scale {scale!r} has no such cells.",
-            got=_listed(filters),
-            allowed=_listed(possible),
-            hint="adamanip benchmark --list; or use your own declaration with --config FILE",
-        )
+    every = all_cells(declaration, scale)
+    cells = [cell for cell in every if all(getattr(cell, name) in own for name, own in filters.items() if own)]
+    for part in (every, cells):
+        possible = {name: dict.fromkeys(getattr(cell, name) for cell in part) for name in filters}
+        lacking = {name: [one for one in own if one not in possible[name]] for name, own in filters.items()}
+        if any(lacking.values()):
+            raise ConfigurationError(
+                f"The scale {scale!r} has no such cells{'' if part is every else ' in this selection'}.",
+                got=_listed(lacking),
+                allowed=_listed({name: dict.fromkeys(getattr(cell, name) for cell in every) for name in filters}),
+                hint="adamanip benchmark --list (a method without training has the first seed alone); or use your own "
+                "declaration with --config FILE",
+            )
     return cells
 
 
 def _listed(names: Mapping[str, Iterable[object]]) -> str:
-    return "; ".join(f"{what} {', '.join(map(str, values))}" for what, values in names.items() if values)
+    titles = {"method": "methods", "category": "categories", "objects": "splits", "seed": "seeds"}
+    return "; ".join(f"{titles[what]} {', '.join(map(str, values))}" for what, values in names.items() if values)
 
 
 def last_checkpoint(folder: Path | str) -> Path:

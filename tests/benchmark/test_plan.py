@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shlex
 from collections.abc import Iterable
 from pathlib import Path
@@ -11,8 +12,10 @@ from typing import Any
 
 import pytest
 from benchmark_helpers import SCALE, VERSIONS, content, declared, with_scale
+from hypothesis import given
+from hypothesis import strategies as st
 
-from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, Declaration, read_declaration
+from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, PAPER_TABLE, Declaration, read_declaration
 from lerobot_adamanip.benchmark.plan import (
     COLLECT,
     TRAIN,
@@ -82,6 +85,42 @@ def test_filters_choose_among_what_is_declared() -> None:
     chosen = select_cells(declaration, "cpu", **wanted)
     assert [each.name for each in chosen] == ["act-safe-seen-1000", "dp3-safe-seen-1000"]
     assert select_cells(declaration, "cpu") == all_cells(declaration, "cpu")
+
+
+@given(st.data())
+def test_each_value_of_a_selection_is_of_a_selected_cell(data: st.DataObject) -> None:
+    declaration = read_declaration(PAPER_TABLE.with_name("tracks.toml"))
+    given_values: dict[str, Any] = {
+        name: tuple(data.draw(st.lists(st.sampled_from(values), max_size=2, unique=True)))
+        for name, values in {
+            "methods": list(declaration.methods),
+            "categories": ["safe", "lamp", "door"],
+            "splits": list(OBJECT_SPLITS),
+            "seeds": [1000, 1001, 5],
+        }.items()
+    }
+    scale = data.draw(st.sampled_from(list(declaration.scales)))
+    attributes = {"methods": "method", "categories": "category", "splits": "objects", "seeds": "seed"}
+
+    def lacking(cells: list[Cell]) -> list[str]:
+        return [
+            str(value)
+            for name, values in given_values.items()
+            for value in values
+            if value not in {getattr(cell, attributes[name]) for cell in cells}
+        ]
+
+    every = all_cells(declaration, scale)
+    chosen = [
+        cell
+        for cell in every
+        if all(not own or getattr(cell, attributes[name]) in own for name, own in given_values.items())
+    ]
+    if names := lacking(every) or lacking(chosen):
+        with pytest.raises(ConfigurationError, match=".*".join(map(re.escape, names))):
+            select_cells(declaration, scale, **given_values)
+    else:
+        assert select_cells(declaration, scale, **given_values) == chosen
 
 
 # Commands ---------------------------------------------------------------------------------------------------------

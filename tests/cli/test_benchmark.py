@@ -135,6 +135,8 @@ def test_ctrl_c_says_how_to_go_on(
         (["--seeds", "one"], "Not a seed"),
         (["--seeds", "7"], "has no such cells"),
         (["--splits", "novel"], "splits seen, unseen"),
+        (["--seeds", "1000,7", "--methods", "dp3"], "seeds 7\n"),
+        (["--scale", "smoke", "--splits", "seen,novel"], "splits novel\n"),
         (["--scale", "huge"], "Unknown scale"),
         (["--config", "absent.toml"], "Not a declaration of a benchmark"),
         (["--jobs", "0", "--methods", "dp3"], "Not a number of jobs"),
