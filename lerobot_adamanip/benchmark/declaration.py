@@ -357,6 +357,7 @@ def with_packages(declaration: Declaration) -> Declaration:
 def _load_method(point: EntryPoint, declaration: Declaration) -> Method:
     package = point.dist.name if point.dist is not None else point.module
     try:
+        NAME("the name of its entry point", point.name)
         if point.name in declaration.methods:
             raise ValueError("the declaration has a method of that name")
         method = record(Method)(point.name, point.load())

@@ -120,6 +120,14 @@ def test_one_that_cannot_be_used_is_one_error_that_names_its_package(
     assert name in str(error.value)
 
 
+def test_a_name_that_no_result_can_hold_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = "METHOD = {'title': 'x', 'policy': 'x', 'demonstrations': 'static'}"
+    install(tmp_path, "still", {"hold-still": "still.benchmark:METHOD"}, {"benchmark.py": code})
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ConfigurationError, match="small letters"):
+        with_packages(declared())
+
+
 def test_two_methods_of_one_name_are_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     install(tmp_path, "theirs", {"ours": "theirs.benchmark:METHOD"}, {"benchmark.py": "METHOD = {}"})
     monkeypatch.syspath_prepend(tmp_path)
