@@ -1,8 +1,9 @@
 """Runs the scripted experts without rendering and reports their success rates.
 
-A cell is a set of mechanism rules, a category, an object split and an expert. Each cell has ``--episodes`` episodes,
-and both experts get the same ones. All attempts count: a scene without a placed object is also a failure. Success is
-the task's success; the expert continues to its own end. For example:
+A cell is a set of mechanism rules, a category, an object split and an expert. Each cell has ``--episodes`` episodes;
+with ``--objects``, the splits of a category's objects share them. Both experts get the same episodes. All attempts
+count: a scene without a placed object is also a failure. Success is the task's success; the expert continues to its own
+end. For example:
 
     python scripts/check_experts.py --category all --episodes 20 --first-seed 9000000 --workers 2
 """
@@ -179,7 +180,7 @@ def plan(options: argparse.Namespace) -> list[Episode]:
         for number in range(options.episodes):
             # Spread over the objects. Small categories repeat objects with other seeds.
             chosen = objects[number * len(objects) // options.episodes % len(objects)]
-            place = (split, chosen, first_seed + number, options.action)
+            place = (object_split(chosen) or "external", chosen, first_seed + number, options.action)
             episodes += [Episode(rules, category, kind, *place) for kind in options.experts]
     return episodes
 
@@ -214,14 +215,15 @@ def summarise(episodes: list[Episode]) -> list[dict[str, Any]]:
 
 
 def below(rows: list[dict[str, Any]], threshold: float, mean: float) -> list[str]:
-    """Returns texts for all values below a threshold: category and expert, and the mean over categories."""
-    shares = {(row["category"], row["expert"]): row["kept"] / row["attempted"] for row in rows if row["split"] == "all"}
-    low = [f"{category} {kind}: {share:.3f}" for (category, kind), share in shares.items() if share < threshold]
-    for expert in dict.fromkeys(kind for _, kind in shares):
-        some = [share for (_, kind), share in shares.items() if kind == expert]
-        if sum(some) / len(some) < mean:
-            low.append(f"mean of {expert}: {sum(some) / len(some):.4f}")
-    return low
+    """Returns texts for all values below a threshold: each cell, and the mean of its like over the categories."""
+    low, means = list[str](), dict[str, list[float]]()
+    for row in (row for row in rows if row["split"] != "all"):
+        share, cell = row["kept"] / row["attempted"], " ".join((row["expert"], row["mechanism_rules"], row["split"]))
+        means.setdefault(cell, []).append(share)
+        if share < threshold:
+            low.append(f"{row['category']} {cell}: {share:.3f}")
+    averages = {cell: sum(shares) / len(shares) for cell, shares in means.items()}
+    return low + [f"mean of {cell}: {average:.4f}" for cell, average in averages.items() if average < mean]
 
 
 def table(rows: list[dict[str, Any]], failures: list[Episode]) -> str:
@@ -253,8 +255,7 @@ def result_rows(episodes: list[Episode]) -> list[ResultRow]:
             hidden={name: rate(sum(each), len(each)) for name, each in sorted(hidden.items())},
             key_frames=dict(sorted(Counter(e.key_frames for e in chosen if e.success).items())),
         )
-        objects = split if split in SPLITS else object_split(chosen[0].object_id) or "external"
-        rows.append(ResultRow(kind, rules, category, objects, metrics))
+        rows.append(ResultRow(kind, rules, category, split, metrics))
     return rows
 
 
@@ -281,8 +282,8 @@ def main(arguments: Sequence[str] | None = None, run: Run = run_all) -> int:
     line.add_argument("--episodes", type=count, default=20, help="episodes per cell (%(default)s)")
     line.add_argument("--first-seed", type=count, default=FIRST_SEED, help="seed of the first episode (%(default)s)")
     line.add_argument("--workers", type=count, default=1, help="processes; each needs about 2 GB (%(default)s)")
-    line.add_argument("--threshold", type=float, default=0.97, help="minimum success rate per category and expert")
-    line.add_argument("--mean", type=float, default=0.99, help="minimum mean success rate over the categories")
+    line.add_argument("--threshold", type=float, default=0.97, help="minimum success rate of each cell")
+    line.add_argument("--mean", type=float, default=0.99, help="minimum of a cell's mean over the categories")
     line.add_argument("--result", type=Path, help="result file to write, for scripts/make_results.py")
     line.add_argument("--json", action="store_true", help="print JSON instead of the table")
     options, metadata, begin = line.parse_args(arguments), header(), time.monotonic()

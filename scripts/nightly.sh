@@ -46,7 +46,7 @@ part "long tests" "${tests[@]}" -m "nightly and not franky and not transformers"
 part "language policies" language_policies
 part "simulated FR3" simulated_arm
 part "no patches" env ADAMANIP_NO_PATCHES=1 "${tests[@]}" -m "not sim and not nightly" tests/datasets tests/policies tests/recordings
-# Fails below 97 % in a category or 99 % on average, for either expert and any preset.
+# Fails below 97 % in a category or 99 % on average, for either expert, any rules and any split of objects.
 part "experts" "$python" scripts/check_experts.py --category all --mechanism-rules paper,hard --splits seen,unseen,novel \
     --episodes "$episodes" --first-seed "$first_seed" --workers "$workers"
 part "hidden states" "$python" scripts/check_hidden_state.py --category all --seeds 20 --workers "$workers"

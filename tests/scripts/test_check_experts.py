@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from check_experts import Episode, below, main, summarise
+from check_experts import SPLITS, Episode, below, main, summarise
 
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.rates import rate
@@ -90,16 +90,25 @@ def test_a_share_below_the_threshold_is_told_and_fails(capsys: pytest.CaptureFix
 
     code, said = report(capsys, Fake(fails), "--category", "safe", "--splits", "seen", "--episodes", "20")
     assert (code, len(said["failures"])) == (1, 2)
-    assert said["below"] == ["safe static: 0.900", "mean of static: 0.9000"]
+    assert said["below"] == ["safe static paper seen: 0.900", "mean of static paper seen: 0.9000"]
     arguments = ("--category", "safe", "--splits", "seen", "--threshold", "0.9", "--mean", "0.9")
     assert report(capsys, Fake(fails), *arguments)[0] == 0
+
+
+@pytest.mark.parametrize("field_name", ["mechanism_rules", "split", "category", "kind"])
+def test_a_cell_below_the_threshold_fails_whatever_the_others_reach(field_name: str) -> None:
+    whole = Episode("paper", "lamp", "adaptive", "seen", "lamp_000", 1, success=True, key_frames=5)
+    other = {"mechanism_rules": "hard", "split": "unseen", "category": "safe", "kind": "static"}[field_name]
+    cell = [replace(whole, seed=k, success=k > 0, **{field_name: other}) for k in range(10)]  # type: ignore[arg-type]
+    low = below(summarise([whole] * 1000 + cell), 0.97, 0.9)
+    assert [line.endswith(": 0.900") and other in line for line in low] == [True]
 
 
 def test_a_scene_that_could_not_be_placed_counts_as_attempted() -> None:
     made = Episode("paper", "lamp", "adaptive", "seen", "lamp_000", 1)
     rows = summarise([replace(made, success=True, key_frames=5), replace(made, seed=2, placed=False)])
     assert [(row["attempted"], row["placed"], row["kept"]) for row in rows] == [(2, 1, 1), (2, 1, 1)]
-    assert below(rows, 0.97, 0.99) == ["lamp adaptive: 0.500", "mean of adaptive: 0.5000"]
+    assert below(rows, 0.97, 0.99) == ["lamp adaptive paper seen: 0.500", "mean of adaptive paper seen: 0.5000"]
 
 
 def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
@@ -111,6 +120,10 @@ def test_a_result_file_has_a_row_for_each_cell_with_counts_by_what_is_hidden(
     result = read_result(path)
     assert result.command == "python scripts/check_experts.py --category safe"
     assert result.simulation_version == SIMULATION_VERSION
+    objects, path = "safe_000,safe_036,safe_n001", tmp_path / "several.json"
+    assert main(["--category", "safe", "--objects", objects, "--episodes", "6", "--result", str(path)], Fake()) == 0
+    rows = [(row.objects, row.metrics.success.episodes) for row in read_result(path).rows]
+    assert sorted(rows) == sorted([(split, 2) for split in SPLITS] * 2), "each object is of its own split"
     cells = [("adaptive", "seen"), ("static", "seen"), ("adaptive", "novel"), ("static", "novel")]
     assert [(row.subject, row.objects) for row in result.rows] == cells
     assert all(row.metrics.hidden == {"locked": rate(2, 2), "unlocked": rate(2, 2)} for row in result.rows)
