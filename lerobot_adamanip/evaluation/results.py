@@ -141,7 +141,7 @@ class StepCost:
         machine: see `machine_class`.
         versions: installed versions at its end; empty in results before simulation version 3.
         commit: commit at its end; `NO_COMMIT` outside a repository, empty in results that do not hold it.
-        changed: whether tracked files differed from that commit.
+        changed: whether tracked files differed from it at its begin or end, or the commit changed in between.
     """
 
     begun: Annotated[int, integer(1, 10**6)]
@@ -211,6 +211,9 @@ class CellRun:
 @dataclass(frozen=True, kw_only=True)
 class ResultFile(Origin):
     """A measurement.
+
+    `adamanip report` takes version, versions and simulation version from the log, which holds no commit and no machine:
+    both are those of the report then.
 
     Attributes:
         kind: one of `KINDS`.
@@ -303,7 +306,7 @@ def make_result(
     scenes: str | None,
     seconds: float | None = None,
     simulation_version: int = SIMULATION_VERSION,
-    versions: Mapping[str, str] | None = None,
+    **measured: Any,
 ) -> ResultFile:
     """Returns a result with its origin and machine filled in.
 
@@ -316,15 +319,14 @@ def make_result(
         scenes: split of the scenes.
         seconds: duration.
         simulation_version: simulation version of the episodes, if they were not simulated now.
-        versions: installed versions at that time.
+        **measured: fields of `Origin` that are known from then.
     """
-    origin = asdict(present_origin())
     return ResultFile(
         kind=kind,
         title=title,
         command=check_command(command),
         simulation_version=simulation_version,
-        **(origin if versions is None else {**origin, "versions": versions}),
+        **{**asdict(present_origin()), **measured},
         machine=machine_class(),
         scenes=scenes,
         seeds=(min(seeds), max(seeds)),
@@ -369,6 +371,7 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
         seeds=[one.seed for one in records],
         scenes=kinds[0][1],
         simulation_version=kinds[0][0],
+        version=records[-1].provenance.version,
         versions=joined_versions(one.provenance.versions for one in records),
     )
 

@@ -162,6 +162,10 @@ def test_a_result_file_says_what_was_measured(
     ]
     assert (result.rows[0].metrics.hidden or {})["locked"] == rate(9, 10)
     assert (result.simulation_version, result.versions) == (SIMULATION_VERSION, {"torch": "2.11.0"})
+    for log in map(Path, logs):
+        log.write_text(log.read_text().replace('"version": "0.3.0"', '"version": "0.1.7"'))
+    assert cli.main(["report", *logs, "--out", str(path), "--command", command]) == 0
+    assert read_result(path).version == "0.1.7", "that of the episodes, not of their report"
 
 
 def test_rows_without_data_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
