@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from safetensors import SafetensorError, safe_open
+
 from lerobot_adamanip.benchmark.plan import EPISODE_LOG, FOLDERS, TRAIN, Cell, Step, last_checkpoint
 from lerobot_adamanip.evaluation.provenance import Origin
 from lerobot_adamanip.evaluation.results import EVALUATE, NO_COMMIT, StepCost
@@ -17,6 +19,7 @@ from lerobot_adamanip.util import files, json_fields
 from lerobot_adamanip.util.errors import DatasetError
 
 _NOTE = json_fields.either(json_fields.record(StepCost), json_fields.table({"begun": json_fields.integer(1, 10**6)}))
+_POLICY_FILES = "*model*", "train_config.json"
 
 
 @dataclass(frozen=True)
@@ -55,8 +58,11 @@ class BenchmarkFolder:
 
     def finish(self, step: Step, seconds: float, machine: Mapping[str, int | bool], origin: Origin) -> None:
         """Records that a step's command has succeeded."""
+        # A power cut must not take what the record relies on.
         if step.kind == EVALUATE:
-            files.sync(self.product(step) / EPISODE_LOG)  # a power cut must not take lines that the record relies on
+            files.sync(self.product(step) / EPISODE_LOG)
+        elif step.kind == TRAIN:
+            files.sync_tree(self.product(step))
         cost = StepCost(
             max(1, self._begun(step)),
             round(seconds, 1),
@@ -78,19 +84,31 @@ class BenchmarkFolder:
 
     def is_done(self, step: Step) -> bool:
         """Returns whether a step is done and its product still exists."""
+        if self.cost(step) is None:
+            return False
         product = self.product(step)
-        products = {TRAIN: last_checkpoint(product), EVALUATE: product / EPISODE_LOG}
-        return self.cost(step) is not None and products.get(step.kind, product / "meta" / "info.json").exists()
+        if step.kind == TRAIN:
+            return _are_readable(last_checkpoint(product), *_POLICY_FILES)
+        return (product / EPISODE_LOG if step.kind == EVALUATE else product / "meta" / "info.json").exists()
 
     def is_begun(self, step: Step) -> bool:
         """Returns whether a step was started; it may be done."""
         return self._begun(step) > 0
 
-    def trained_steps(self, step: Step) -> int:
-        """Returns the training steps of a training's last checkpoint; 0 if there is none."""
-        state = last_checkpoint(self.product(step)).parent / "training_state" / "training_step.json"
-        # LeRobot replaces the link to the last checkpoint after writing it; for a moment there is no link.
-        return int(json.loads(state.read_text(encoding="utf-8"))["step"]) if state.exists() else 0
+    def resumable(self, step: Step) -> tuple[int, Path] | None:
+        """Returns the newest checkpoint of a training that can be read: its steps and its configuration.
+
+        A checkpoint may be half written until LeRobot links to it; for a moment there is no link.
+        """
+        last = last_checkpoint(self.product(step)).parent
+        newest = last.resolve().name if last.exists() else ""
+        for folder in sorted(last.parent.glob("[0-9]*"), reverse=True):
+            weights, state = folder / "pretrained_model", folder / "training_state"
+            is_whole = _are_readable(weights, *_POLICY_FILES) and _are_readable(state, "training_step.json")
+            if is_whole and folder.name <= newest:
+                steps = json.loads((state / "training_step.json").read_text(encoding="utf-8"))["step"]
+                return int(steps), (weights / "train_config.json").relative_to(self.root)
+        return None
 
     def _begun(self, step: Step) -> int:
         note = self._read(step)
@@ -114,3 +132,17 @@ class BenchmarkFolder:
                 "A step record is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
             ) from error
         return note
+
+
+def _are_readable(folder: Path, *needed: str) -> bool:
+    """Returns whether a folder has a file of each pattern, and none that a power cut has emptied or cut."""
+    try:
+        for path in folder.rglob("*"):
+            if path.suffix == ".json":
+                json.loads(path.read_text(encoding="utf-8"))
+            elif path.suffix == ".safetensors":
+                with safe_open(path, "numpy"):
+                    pass
+    except (OSError, ValueError, SafetensorError):
+        return False
+    return all(any(path.stat().st_size for path in folder.glob(pattern)) for pattern in needed)

@@ -29,14 +29,13 @@ from lerobot_adamanip.benchmark.plan import (
     KeyVersions,
     Step,
     evaluation_options,
-    last_checkpoint,
     named_steps,
     options_key,
     plan,
 )
 from lerobot_adamanip.contract.versions import mixed_versions
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
-from lerobot_adamanip.evaluation.provenance import Origin
+from lerobot_adamanip.evaluation.provenance import Origin, present_origin
 from lerobot_adamanip.evaluation.record import EpisodeRecord, first_episodes, read_log, without_repeats
 from lerobot_adamanip.evaluation.results import (
     EVALUATE,
@@ -100,6 +99,7 @@ class _RunningStep:
     step: Step
     process: subprocess.Popen[bytes]
     begin: float
+    origin: Origin
     program: str
     label: str
 
@@ -113,6 +113,8 @@ class BenchmarkRun:
         folder: its folder.
         versions: versions in the cache keys.
         origin: origin of the results.
+        origin_now: function that returns the origin of a step that begins or ends now: each is a process of its own,
+            of the checkout as it is then.
         machine: class of this machine, see `machine_class`.
         unavailable: method -> why it cannot run here.
         collect_options: options of ``adamanip collect`` that change no result: workers, cluster.
@@ -127,6 +129,7 @@ class BenchmarkRun:
     versions: KeyVersions
     origin: Origin
     machine: Mapping[str, int | bool]
+    origin_now: Callable[[], Origin] = present_origin
     unavailable: Mapping[str, str] = field(default_factory=dict)
     collect_options: tuple[str, ...] = ()
     jobs: int = 1
@@ -172,16 +175,22 @@ class BenchmarkRun:
     def _advanced(self, waiting: dict[Cell, str], lock: int) -> Iterator[CellState]:
         """Starts all steps that are ready, in the order of cells; yields the cells that are finished."""
         for cell, label in list(waiting.items()):
-            whole = self._plan(cell)
-            state = self._ended(cell, whole)
-            while state is None and len(self._running) < self.jobs:
-                step = self._next_step(whole)
-                if step is None or step.key in self._running or self._begun(step, lock, label):
-                    break
-                state = self._ended(cell, whole)  # there was nothing left to run
+            try:
+                state = self._advanced_cell(cell, label, lock)
+            except AdaManipError as error:
+                state = CellState(cell, FAILED, str(error))
             if state is not None:
                 del waiting[cell]
                 yield state
+
+    def _advanced_cell(self, cell: Cell, label: str, lock: int) -> CellState | None:
+        """Starts a cell's next step if it is ready; returns the cell's state if it is finished."""
+        whole = self._plan(cell)
+        while (state := self._ended(cell, whole)) is None and len(self._running) < self.jobs:
+            step = self._next_step(whole)
+            if step is None or step.key in self._running or self._begun(step, lock, label):
+                break
+        return state
 
     def _ended(self, cell: Cell, step: Step) -> CellState | None:
         """Writes the result of a cell whose last step is done, and returns its state; None for any other cell."""
@@ -213,14 +222,14 @@ class BenchmarkRun:
         """Starts a step; False if it finished at once because its command had nothing left to do."""
         self.say(f"{label}: {WORDS[step.kind]}, log: {self.folder.log(step)}")
         self.folder.begin(step)
-        begin = time.perf_counter()
+        begin, origin = time.perf_counter(), self.origin_now()
         command = self._command(step)
         if not command:
-            self._end(step, begin, 0, "")
+            self._end(step, begin, origin, 0, "")
             return False
         threads, log = 0 if self.jobs == 1 else self._cores_of_a_job, self.folder.log(step)
         process = self.runner(command, folder=self.folder.root, log=log, lock=lock, threads=threads)
-        self._running[step.key] = _RunningStep(step, process, begin, command[0], label)
+        self._running[step.key] = _RunningStep(step, process, begin, origin, command[0], label)
         return True
 
     def _wait(self) -> None:
@@ -230,7 +239,7 @@ class BenchmarkRun:
             ended = [(one, status) for one in self._running.values() if (status := one.process.poll()) is not None]
             for running, status in ended:
                 del self._running[running.step.key]
-                self._end(running.step, running.begin, status, running.program)
+                self._end(running.step, running.begin, running.origin, status, running.program)
             if ended:
                 return
             if time.perf_counter() >= due:
@@ -241,7 +250,7 @@ class BenchmarkRun:
                     self.say(f"{running.label}: {WORDS[running.step.kind]} for {seconds:.0f} s: {line}")
             time.sleep(_POLL_SECONDS)
 
-    def _end(self, step: Step, begin: float, status: int, program: str) -> None:
+    def _end(self, step: Step, begin: float, origin: Origin, status: int, program: str) -> None:
         try:
             if status:
                 log = self.folder.log(step).relative_to(self.folder.root)
@@ -253,7 +262,9 @@ class BenchmarkRun:
             self._failed[step.key] = str(error)
             return
         machine = {**self.machine, "cores": self._cores_of_a_job}
-        self.folder.finish(step, time.perf_counter() - begin, machine, self.origin)
+        end = self.origin_now()
+        is_changed = origin.changed or end.changed or origin.commit != end.commit
+        self.folder.finish(step, time.perf_counter() - begin, machine, replace(end, changed=is_changed))
 
     @property
     def _cores_of_a_job(self) -> int:
@@ -269,9 +280,9 @@ class BenchmarkRun:
             return [*whole, *self.collect_options]
         if step.kind == TRAIN:
             leave_poses_unscaled(self.folder.product(step.needs[0]))  # for all methods, including LeRobot's own
-            if done := self.folder.trained_steps(step):
+            if checkpoint := self.folder.resumable(step):
+                done, config = checkpoint
                 steps = int(command_options(shlex.join(step.command))["--steps"])
-                config = last_checkpoint(step.product) / "train_config.json"
                 resume = ["lerobot-train", f"--config_path={config}", "--resume=true", f"--steps={steps}"]
                 return [] if done >= steps else resume
         # LeRobot rejects a folder without a checkpoint, and a partial episode log would count as complete.

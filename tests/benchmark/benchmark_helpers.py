@@ -117,9 +117,9 @@ def benchmark(root: Path, runner: FakeRunner, declaration: Declaration | None = 
     """The benchmark in the folder ``root``."""
     values: dict[str, Any] = {
         "declaration": declaration or declared(), "scale": SCALE, "folder": BenchmarkFolder(root), "versions": VERSIONS,
-        "origin": ORIGIN, "machine": {"cores": 2, "gpu": False}, "runner": runner,
+        "origin": ORIGIN, "machine": {"cores": 2, "gpu": False}, "runner": runner, **changes,
     }  # fmt: skip
-    return BenchmarkRun(**{**values, **changes})
+    return BenchmarkRun(**{"origin_now": lambda: values["origin"], **values})
 
 
 def run_all(made: BenchmarkRun) -> list[CellState]:

@@ -12,10 +12,12 @@ import signal
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from benchmark_helpers import (
     ORIGIN,
@@ -29,6 +31,7 @@ from benchmark_helpers import (
     run_all,
     with_scale,
 )
+from safetensors.numpy import save_file
 
 from lerobot_adamanip.benchmark import run
 from lerobot_adamanip.benchmark.command import begin_command, end_command
@@ -40,6 +43,7 @@ from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 # What is forked here runs nothing of the threads that other tests' libraries have left.
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded:DeprecationWarning")
 DEATHS, PAUSE = 6, 0.002
+STEP = "training_state/training_step.json"
 
 
 def run_of(path: Path) -> CellRun:
@@ -240,6 +244,39 @@ def test_a_command_that_is_left_behind_keeps_others_out(tmp_path: Path) -> None:
     wait_for_the_orphan(root)
 
 
+@pytest.mark.parametrize("moment", ["train:9", "train:17", "evaluate:1"])
+@pytest.mark.parametrize("emptied", ["pretrained_model/model", "pretrained_model/train_config.json", STEP])
+def test_a_checkpoint_that_lost_a_file_in_a_power_cut_changes_no_result(
+    tmp_path: Path, whole: dict[str, Any], moment: str, emptied: str
+) -> None:
+    """After the first or second checkpoint, or once the training is done and its policy is to be evaluated."""
+    root = tmp_path / "out"
+    trained = declared(methods={name: one for name, one in content()["methods"].items() if name != "untrained"})
+    assert killed(root, FakeRunner(tmp_path, die=moment), declaration=trained)
+    wait_for_the_orphan(root)
+    (last,) = root.glob("trainings/*/checkpoints/last")
+    (last / emptied).write_text("")
+    runner = FakeRunner(tmp_path)
+    assert {each.state for each in run_all(benchmark(root, runner, trained))} == {"done"}
+    assert results(root) == {name: one for name, one in whole.items() if not name.startswith("untrained")}
+    resumed = [command for command in runner.called if "--resume=true" in command]
+    is_resumed = moment == "train:17" or (moment == "evaluate:1" and emptied != STEP)
+    assert len(resumed) == is_resumed, "from the newest whole checkpoint, if there is one"
+
+
+def test_weights_that_were_cut_are_no_checkpoint(tmp_path: Path) -> None:
+    made = benchmark(tmp_path / "out", FakeRunner(tmp_path))
+    run_all(made)
+    step = plan(cells_of(made)[-1], made.declaration, made.scale, made.versions).needs[0]
+    weights = tmp_path / "out" / step.product / "checkpoints" / "last" / "pretrained_model" / "model.safetensors"
+    save_file({"a": np.zeros(9)}, weights)
+    assert made.folder.is_done(step)
+    weights.write_bytes(weights.read_bytes()[:-8])
+    assert not made.folder.is_done(step)
+    steps, config = made.folder.resumable(step) or (0, Path())
+    assert (steps, config.parts[-3:]) == (6, ("000006", "pretrained_model", "train_config.json"))
+
+
 # What changes and what fails --------------------------------------------------------------------------------------
 
 
@@ -285,6 +322,15 @@ def test_a_step_that_fails_is_tried_once_and_keeps_no_other_cell_from_running(tm
     assert runner.programs.count("lerobot-train") == 2
     runner.failing = ""
     assert {each.state for each in run_all(benchmark(tmp_path / "out", runner))} == {"done"}
+
+
+def test_an_error_of_one_cell_keeps_no_other_from_running(tmp_path: Path) -> None:
+    methods = dict(declared().methods)
+    methods["ours_on_static"] = dataclasses.replace(methods["ours_on_static"], title="a|b")  # of no result
+    made = benchmark(tmp_path / "out", FakeRunner(tmp_path), dataclasses.replace(declared(), methods=methods))
+    states = {each.cell.name: each for each in run_all(made)}
+    assert Counter(each.state for each in states.values()) == {"done": 4, "failed": 2}
+    assert "These values make no result file" in states["ours_on_static-safe-seen-1000"].reason
 
 
 def test_an_update_of_a_package_is_told_and_repeats_nothing(tmp_path: Path) -> None:
@@ -356,6 +402,25 @@ def test_a_result_has_the_commits_of_its_steps(tmp_path: Path) -> None:
     path.unlink()
     run_all(benchmark(root, FakeRunner(tmp_path)))
     assert read_result(path).commits == {(ORIGIN.commit, False)}
+
+
+@pytest.mark.parametrize("change", [{"commit": "a" * 40}, {"changed": True}])
+@pytest.mark.parametrize("moment", range(1, 6))
+def test_a_checkout_that_changes_during_a_run_is_in_its_result(
+    tmp_path: Path, change: dict[str, Any], moment: int
+) -> None:
+    """Before or after each of three steps."""
+    calls = itertools.count()
+    made = benchmark(
+        tmp_path / "out",
+        FakeRunner(tmp_path),
+        origin_now=lambda: dataclasses.replace(ORIGIN, **change) if next(calls) >= moment else ORIGIN,
+    )
+    (cell,) = (cell for cell in cells_of(made) if (cell.method, cell.objects) == ("ours", "seen"))
+    (state,) = made.run([cell])
+    assert state.result is not None
+    assert (len(state.result.commits) > 1, state.result.changed) != (False, False)
+    assert next(calls) == 6
 
 
 @pytest.mark.parametrize(
