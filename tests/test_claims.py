@@ -80,6 +80,7 @@ def test_the_memorys_table_has_the_counts_of_its_cells(category: str) -> None:
 def test_other_counts_are_those_of_a_cell() -> None:
     measured = {counts(entry.metrics) for report in REPORTS.values() for entry in report.entries.values()}
     measured |= {counts(metrics(method)) for method in ALONE}
+    measured |= {counts(of_training("dp3_adaptive", category)) for category in CATEGORIES}
     written = {found for text in DOCUMENTS.values() for found in re.findall(r"\d+, \d+, \d+ of \d+", text)}
     assert len(written) > 30
     assert not written - measured
@@ -142,9 +143,10 @@ def test_the_novel_objects_that_open_least_are_named() -> None:
     assert f"opened and within the tries: {both}." in DOCUMENTS["docs/memory.md"]
 
 
-def of_training(method: str, seed: int = 1001) -> Metrics:
-    """Returns all categories of one training, seen objects."""
-    rows = [read_result(TEST / f"{method}-{category}-seen-{seed}.json").rows[0] for category in CATEGORIES]
+def of_training(method: str, *categories: str, seed: int = 1001) -> Metrics:
+    """Returns one training's metrics of all or some categories, seen objects."""
+    chosen = categories or CATEGORIES
+    rows = [read_result(TEST / f"{method}-{category}-seen-{seed}.json").rows[0] for category in chosen]
     return pool([row.metrics for row in rows])
 
 
@@ -184,6 +186,16 @@ def test_rules_beside_and_instead_of_the_memory_differ_as_said() -> None:
         *(gain(WITHIN_TRIES, methods=pair) for pair in pairs)
     )
     assert text in DOCUMENTS["docs/memory.md"].replace(" points [", " [")
+
+
+def test_shorter_memories_are_compared_as_said() -> None:
+    places, shorter = ("bottle", "safe", "window", "door", "lamp"), ("latest_1", "latest_2", "latest_4")
+    for category in places:
+        row = " | ".join(counts(of_training(method, category)) for method in (*shorter, "dp3_adaptive"))
+        assert f"| {category} | {row} |" in DOCUMENTS["docs/memory.md"]
+    text = [gain(WITHIN_TRIES, categories=places, methods=("dp3_adaptive", method)) for method in shorter]
+    said = f"all events are {text[0]} points better than the latest alone, {text[1]} than two and {text[2]} than four."
+    assert said in DOCUMENTS["docs/memory.md"]
 
 
 def test_each_rule_alone_has_the_counts_of_its_cells() -> None:
