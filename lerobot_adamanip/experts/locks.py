@@ -124,18 +124,26 @@ class LocksExpert:
         return self.hand.is_ajar(self.parts[self.style.part], self.style.final)
 
     def draw_motion(self) -> str:
-        """Returns the next motion: one that has not failed since the latest success. The first lock needs the key."""
-        if self.moves >= LOCKS:
+        """Returns the next motion: one that has not failed since the latest success. The first lock needs the key.
+
+        After tries before a takeover the key is first: draws of experts that take over one after the other differ.
+        """
+        if self.moves >= LOCKS and PULL not in self.blocked:
             return PULL
         if self.moves == 0 and KEY not in self.blocked:
             return KEY
-        drawn = PULL if self.hand.rng.random() < self.style.p_pull else KEY
+        p_pull = 0.0 if self.hand.belief.tries else self.style.p_pull
+        drawn = PULL if self.hand.rng.random() < p_pull else KEY
         other = KEY if drawn == PULL else PULL
         return other if drawn in self.blocked else drawn
 
     def in_row(self, next_motion: Callable[[], str]) -> KeyFrames:
         """Makes the motions that ``next_motion`` returns until the part is open."""
-        yield from self._finish_turn()
+        was_out = self._is_out
+        if (yield from self._finish_turn(0.0)):
+            self.moves, self.blocked = self.moves + (was_out and not self._is_out), set()
+        elif self._is_pulled:
+            yield from self._pull()
         for _ in range(MAX_MOTIONS):
             if self.hand.is_open(self.style.final, self.style.path):
                 return
@@ -143,15 +151,18 @@ class LocksExpert:
             moved = yield from (self._move_key() if motion == KEY else self._pull())
             self.moves += moved
             if moved:
-                self.blocked = {PULL} if motion == PULL else set()
+                self.blocked = _held(motion, self.moves)
             else:  # if both are blocked, one of them has slipped
-                self.blocked = {motion} if self.blocked - {motion} else self.blocked | {motion}
+                self.blocked = {motion}
 
     def until_it_stays_open(self, later_direction: int | None) -> KeyFrames:
         """Turns the key and pulls; after each failed pull turns the key anew, in ``later_direction`` if it is known."""
-        yield from self._finish_turn()
+        belief, style = self.hand.belief, self.style
         self.moves = 0  # after a lock has shut again, the key may turn either way
-        if not (self._is_out or self._is_ajar):
+        self.direction = self._latest_way() or self.direction
+        if not self._is_ajar and not (yield from self._finish_turn()) and belief.blocked(style.final, until=style.key):
+            yield from self._turn_anew(later_direction)
+        elif not (self._is_out or self._is_ajar):
             yield from self._move_key()
         for _ in range(MAX_MOTIONS):
             yield from self._pull()
@@ -160,14 +171,43 @@ class LocksExpert:
             if not self._is_ajar:
                 yield from self._turn_anew(later_direction)
 
-    def _finish_turn(self) -> Frames:
-        """Turns a key to its stop that was on its way there at a takeover."""
-        if (
-            self._is_out
-            and not self._is_ajar
-            and not self.hand.belief.stopped(self.style.key, FOLLOWED * self.style.step)
-        ):
-            yield from self._turn(int(np.sign(self.angle)))
+    def _latest_way(self) -> int:
+        """Returns the direction out that the latest try of the key suggests; 0 without a try."""
+        latest, key = self.hand.belief.latest(self.style.key), self.style.key
+        if latest is None or abs(latest.after[key]) > FOLLOWED * self.style.step:
+            return 0 if latest is None else int(np.sign(latest.after[key]))
+        return -latest.sign if latest.failed or latest.stalled else latest.sign
+
+    @property
+    def _is_pulled(self) -> bool:
+        """Whether the latest try before a takeover was a pull that the part followed, so that it may go on."""
+        latest, final = next(reversed(self.hand.belief.tries), None), self.style.final
+        if latest is None or latest.joint != final or latest.failed:
+            return False
+        return not latest.stalled or latest.after[final] - latest.before[final] >= self._least
+
+    @property
+    def _least(self) -> float:
+        """Motion in a key frame of a pull with less of which the part is held [rad or m]."""
+        return MIN_PROGRESS * HAND_COMPLIANCE[self.parts[self.style.part].motion(self.style.final).kind]
+
+    def _finish_turn(self, back: float = np.inf) -> Attempt:
+        """Turns a key on that was on its way at a takeover: out to its stop, or back to the angle ``back`` [rad].
+
+        Returns True if it was on its way and followed.
+        """
+        belief, key = self.hand.belief, self.style.key
+        latest, to = belief.latest(key), np.inf
+        way = int(np.sign(self.angle)) if latest is None else latest.sign
+        if latest is None or way * self.angle > 0:
+            has_ended = not self._is_out or belief.stopped(key, FOLLOWED * self.style.step)
+        else:
+            least = min(abs(self.angle), abs(latest.after[key] - latest.before[key]))
+            has_ended, to = latest.stalled or least < HAND_COMPLIANCE["revolute"], back
+        is_other = self._is_ajar and (latest is None or latest is not belief.tries[-1])
+        if has_ended or is_other or (latest is not None and latest.failed):
+            return False
+        return (yield from self._turn(way, to))
 
     def _turn_anew(self, known: int | None) -> Frames:
         """Turns the key back and on. If it stops at rest, or ``known`` says so, turns it out again."""
@@ -223,7 +263,7 @@ class LocksExpert:
         hand, style = self.hand, self.style
         yield from self._hold(style.part)
         part, start = self.parts[style.part], hand.at(style.final)
-        least = MIN_PROGRESS * HAND_COMPLIANCE[part.motion(style.final).kind]
+        least = self._least
         for _ in range(MAX_PULLS):
             here = hand.at(style.final)
             ahead = [place for place in style.path if place > here + FOLLOWED * style.path[0]] or [style.path[-1]]
@@ -250,15 +290,25 @@ class LocksExpert:
             yield from self.hand.regrasp(part)
 
 
+def _held(motion: str, moves: int) -> set[str]:
+    """Returns the motions that are blocked after a motion that frees a lock: a part that is pulled stops at a notch."""
+    return {PULL} if motion == PULL and moves < LOCKS else set()
+
+
 def _felt(belief: Belief, style: Locks) -> tuple[int, set[str]]:
     """Returns the number of motions that tries before a takeover have made, and those that failed since the latest."""
-    moves, blocked, latest = 0, set[str](), ("", 0)
+    moves, blocked, ways, latest, rest = 0, set[str](), set[int](), "", FOLLOWED * style.step
     for each in belief.tries:
-        motion = PULL if each.joint == style.final else KEY
-        if each.failed:
-            blocked = blocked | {motion}
-        elif (each.joint, each.sign) != latest:
-            moves, latest, blocked = moves + 1, (each.joint, each.sign), {PULL} if motion == PULL else set()
+        motion, before = PULL if each.joint == style.final else KEY, each.sign * each.before[style.key]
+        if not each.failed:
+            moves += latest != PULL if motion == PULL else (abs(each.after[style.key]) > rest) != (abs(before) > rest)
+            blocked, ways, latest = _held(motion, moves), set(), motion
+        elif motion == PULL or before < -rest:
+            blocked, ways = {motion}, set()
+        elif before < rest:  # farther out it is at its stop
+            ways = ways | {each.sign}
+            if moves or len(ways) > 1:  # the first lock is freed by one direction or the other
+                blocked, ways = {motion}, set()
     return moves, blocked
 
 

@@ -17,9 +17,9 @@ CHANGING_SEQUENCE = "push button with the closed hand; pull door; after a failed
 SEQUENCE = "pull door; if it is blocked: let go, push button with the closed hand, pull again"
 
 
-def adaptive(hand: Hand, known: Knowledge) -> KeyFrames:
-    """Opens by trial and error, without the hidden state."""
-    button, unlock_first = known.parts["button"], hand.belief.blocked("door", until="button")
+def adaptive(hand: Hand, known: Knowledge, *, is_shut: bool = False) -> KeyFrames:
+    """Opens by trial and error, without the hidden state. Pushes first if ``is_shut``, or after a failed pull."""
+    button, unlock_first = known.parts["button"], is_shut or hand.belief.blocked("door", until="button")
     if not unlock_first and hand.parts and hand.is_closed_near(button):
         yield from hand.back_off(0.0)  # as after a push: fingers that open in the button's recess are caught there
     yield from open_by_trial(hand, known.parts["handle"], lambda: push_button(hand, button), unlock_first=unlock_first)
@@ -38,9 +38,8 @@ def static(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:
 
 def changing(hand: Hand, known: Knowledge) -> KeyFrames:
     """Opens a microwave that is always locked and may lock again: pushes, pulls, and pushes after a failed pull."""
-    button, handle = known.parts["button"], known.parts["handle"]
-    shut = not hand.is_ajar(handle, "door")
-    yield from open_by_trial(hand, handle, lambda: push_button(hand, button), unlock_first=shut)
+    is_pushed = any(each.joint == "button" and not each.failed for each in hand.belief.tries)
+    yield from adaptive(hand, known, is_shut=not (is_pushed or hand.is_ajar(known.parts["handle"], "door")))
 
 
 def changing_with_sight(hand: Hand, parts: Parts, hidden: Hidden) -> KeyFrames:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 
 from lerobot_adamanip.catalog import make_object, object_id
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.keyframes import KeyFrameLabels
 from lerobot_adamanip.contract.rotations import angle_between, rotation_about, transform
-from lerobot_adamanip.experts import Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
+from lerobot_adamanip.experts import Belief, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.objects import ArticulatedObject, Motion, PartAnnotation
 
@@ -269,3 +270,44 @@ def static(world: KinematicWorld, seed: int = 0, **known: Any) -> KeyFrames:
 
 def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase]]:
     return [(goal.tcp_in_base.tobytes(), goal.gripper, goal.phase) for goal in goals]
+
+
+@dataclass
+class Watched:
+    """A world in which somebody acts whom the expert only watches."""
+
+    world: KinematicWorld
+    belief: Belief = field(default_factory=Belief)
+
+    def step(self, goal: Goal) -> Feedback:
+        before = dict(self.world.joints)
+        feedback = self.world.step(goal)
+        move = self.world.moves[-1]
+        if move is not None:
+            covered = abs(self.world.joints[move.joint] - before[move.joint])
+            failed = move.stalled and covered < (
+                0.003 if self.world.obj.joint(move.joint).kind == "prismatic" else 0.05
+            )
+            labels = KeyFrameLabels(self.world.mechanism.joints.index(move.joint), failed, 0.0, 0, float(move.sign))
+            joints, after = self.world.mechanism.joints, dict(self.world.joints)
+            self.belief = self.belief.after(labels, joints, before, after, stalled=feedback.failed)
+        return feedback
+
+    def taken_over(self, seed: int, **known: Any) -> Any:
+        positions = dict(self.world.joints)
+        return adaptive(
+            self.world, seed, positions=positions, feedback=self.world.feedback, belief=self.belief, **known
+        )
+
+    def asked_anew(self, seed: int, *, at_most: int, **known: Any) -> None:
+        """Runs an expert made anew at each key frame, as corrections do, until it has opened."""
+        for number in range(at_most + 1):
+            if any(self.world.successes):
+                return
+            goal = next(self.taken_over(seed + number, **known), None)
+            assert goal is not None
+            here = self.world.feedback
+            stays = np.allclose(goal.tcp_in_base, here.tcp_in_base, atol=1e-6)
+            assert not (stays and goal.gripper == 1.0 and here.gripper > 0.9), "opens a hand that is open"
+            self.step(goal)
+        raise AssertionError("never opened")

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from kinematic import Episode, KinematicWorld, Move, adaptive, cached_object, run, static
+from kinematic import Episode, KinematicWorld, Move, Watched, adaptive, cached_object, run, static
 
 from lerobot_adamanip.catalog import object_id
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.episode.tries import MIN_JOINT_MOTION
-from lerobot_adamanip.experts import make_expert
+from lerobot_adamanip.experts import Phase, make_expert
 from lerobot_adamanip.mechanisms import best_tries, categories_with, make_mechanism
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -99,6 +99,30 @@ def test_an_expert_that_takes_over_finishes(rules: str, category: str, count: in
         known = {"positions": dict(world.joints), "feedback": world.feedback}
         episode = run(world, adaptive(world, number + 1, **known), at_most=100)
         assert max(world.successes), (hidden, episode.phases)
+
+
+@every_cell
+@pytest.mark.parametrize("strategy", ["paper", "to_stop"])
+def test_an_expert_asked_anew_at_each_key_frame_opens(rules: str, category: str, strategy: str) -> None:
+    """What was felt before leads on: a motion that has failed gives way to another, and one under way is finished."""
+    for number, hidden in enumerate(hidden_states(rules, category)):
+        watched = Watched(KinematicWorld(object_id(category, 0), hidden, draw=number, preset=rules))
+        watched.asked_anew(100 * number, at_most=MAX_KEY_FRAMES, strategy=strategy)
+
+
+@every_cell
+def test_an_expert_that_takes_over_its_own_episode_goes_on_as_it_would_have(rules: str, category: str) -> None:
+    for number, hidden in enumerate(hidden_states(rules, category)):
+        watched = Watched(KinematicWorld(object_id(category, 0), hidden, draw=number, preset=rules))
+        frames = adaptive(watched.world, number, preset="to_stop")
+        goal = next(frames)
+        while True:
+            feedback = watched.step(goal)
+            if max(watched.world.successes):
+                break
+            goal, other = frames.send(feedback), next(watched.taken_over(number, strategy="to_stop"))
+            if watched.world.held is not None and goal.phase is not Phase.RELEASE:
+                assert other.phase is goal.phase, (hidden, watched.belief.tries[-1:])
 
 
 def test_an_expert_for_rules_that_a_category_lacks_is_refused() -> None:

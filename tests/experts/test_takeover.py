@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from kinematic import KinematicWorld, adaptive, object_names, run
+from kinematic import KinematicWorld, Watched, adaptive, object_names, run
 
 from lerobot_adamanip.catalog import seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -22,34 +21,6 @@ seeds = st.integers(0, 2**31 - 1)
 fast = settings(max_examples=10, deadline=None)
 every = pytest.mark.parametrize("category", CATEGORIES)
 TURNED = tuple(name for name in CATEGORIES if name not in ("microwave", "lamp"))
-
-
-@dataclass
-class Watched:
-    """A world in which somebody acts whom the expert only watches."""
-
-    world: KinematicWorld
-    belief: Belief = field(default_factory=Belief)
-
-    def step(self, goal: Goal) -> Feedback:
-        before = dict(self.world.joints)
-        feedback = self.world.step(goal)
-        move = self.world.moves[-1]
-        if move is not None:
-            covered = abs(self.world.joints[move.joint] - before[move.joint])
-            failed = move.stalled and covered < (
-                0.003 if self.world.obj.joint(move.joint).kind == "prismatic" else 0.05
-            )
-            labels = KeyFrameLabels(self.world.mechanism.joints.index(move.joint), failed, 0.0, 0, float(move.sign))
-            joints, after = self.world.mechanism.joints, dict(self.world.joints)
-            self.belief = self.belief.after(labels, joints, before, after, stalled=feedback.failed)
-        return feedback
-
-    def taken_over(self, seed: int, **known: Any) -> Any:
-        positions = dict(self.world.joints)
-        return adaptive(
-            self.world, seed, positions=positions, feedback=self.world.feedback, belief=self.belief, **known
-        )
 
 
 def driven(category: str, name: str, seed: int, steps: int) -> Watched:
@@ -88,16 +59,7 @@ def test_whatever_was_done_before_it_opens(category: str, data: st.DataObject, s
 def test_asked_anew_at_each_key_frame_it_opens(category: str, data: st.DataObject, seed: int, steps: int) -> None:
     """As corrections ask: each label leads on, none is given for ever to a state that it does not change."""
     watched = driven(category, data.draw(object_names(category)), seed, steps)
-    for number in range(80):
-        if any(watched.world.successes):
-            return
-        goal = next(watched.taken_over(seed + number), None)
-        assert goal is not None
-        here = watched.world.feedback
-        stays = np.allclose(goal.tcp_in_base, here.tcp_in_base, atol=1e-6)
-        assert not (stays and goal.gripper == 1.0 and here.gripper > 0.9), "opens a hand that is open"
-        watched.step(goal)
-    raise AssertionError("never opened")
+    watched.asked_anew(seed, at_most=80)
 
 
 @every
