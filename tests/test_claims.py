@@ -14,15 +14,24 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES, PairedDifference
+from lerobot_adamanip.evaluation.rates import show
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
+from lerobot_adamanip.evaluation.text_format import percent_text
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
 ROOT = Path(__file__).resolve().parents[1]
 TEST = ROOT / "results" / "benchmark" / "test"
 DOCUMENTS = {
     name: (ROOT / name).read_text(encoding="utf-8")
-    for name in ("README.md", "docs/memory.md", "docs/sensing.md", "docs/lerobot_policies.md", "docs/twin.md")
+    for name in (
+        "README.md",
+        "docs/memory.md",
+        "docs/sensing.md",
+        "docs/lerobot_policies.md",
+        "docs/tracks.md",
+        "docs/twin.md",
+    )
 }
 REPORTS: dict[str, BenchmarkReport] = {each.scale: each for each in make_results.benchmark_reports(ROOT / "results")}
 
@@ -291,6 +300,32 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
         values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
         said.append("{:+d} points [{:+d}, {:+d}]".format(*values) + f" better than {name}")
     assert f"Within the tries, events are {listed(said)}." in text
+
+
+def test_scenes_that_are_played_again_are_counted_as_said() -> None:
+    report, text = REPORTS["again"], DOCUMENTS["docs/tracks.md"]
+    each, kept, removed = "dp3_adaptive_corrected", "dp3_adaptive_remembering", "dp3_adaptive_corrected_without_memory"
+    titles = {"memory of each episode": each, "memory kept over three": kept, "memory removed": removed}
+    for title, method in titles.items():
+        turns = [f"{percent_text(opened.rate)}, {show(tries)}" for opened, tries in report.by_turn(method, "unseen")]
+        assert f"| {title} | {' | '.join(turns)} |" in text
+    for pair, words in (
+        ((each, removed), "Within an episode the memory opens"),
+        ((kept, each), "over episodes it makes"),
+    ):
+        difference = report.paired(pair, report.categories, "unseen", OPENED)
+        assert difference is not None
+        values = (100 * value for value in (difference.difference, difference.low, difference.high))
+        assert "{} {:+.0f} points [{:+.0f}, {:+.0f}]".format(words, *values) in text
+    second = {
+        (method, category): sum(
+            map(int, report.entries[method, category, "unseen"].results[0].rows[0].scene_tries[1::3])
+        )
+        for method in (each, kept)
+        for category in report.categories
+    }
+    assert f"30 second episodes fall from {second[each, 'lamp']} to {second[kept, 'lamp']}." in text
+    assert [name for name in report.categories if second[kept, name] < second[each, name] / 3] == ["lamp"]
 
 
 def test_the_twin_opens_what_the_evaluation_opened() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from PIL import Image
@@ -23,6 +23,18 @@ SHOWN: Mapping[str, tuple[str, str, str]] = {
     "tries": ("tries", "default_policy.toml", "test"),
 }
 """Name -> plot of a report, declaration (none: beside the results) and scale."""
+METHODS: Mapping[str, Sequence[str]] = {
+    "test": (
+        "dp3_adaptive",
+        "without_memory",
+        "never_with_memory",
+        "demonstrated",
+        "mm20",
+        "mm20_calibrated",
+        "d435_calibrated",
+    ),
+}
+"""Scale -> methods in its pictures; left out: all."""
 WIDTH = 1500
 
 
@@ -30,9 +42,10 @@ def main(here: Path) -> None:
     """Writes the pictures into a folder."""
     for name, (plot, declared, scale) in SHOWN.items():
         folder = Path(__file__).resolve().parents[2] / "results" / "benchmark" / scale
-        results = read_results(folder)
+        results = read_results(folder).values()
+        chosen = [one for one in results if scale not in METHODS or (one.run and one.run.method in METHODS[scale])]
         declaration = read_declaration(PAPER_TABLE.with_name(declared) if declared else folder / "declaration.toml")
-        report = make_report(results.values(), declaration, scale)
+        report = make_report(chosen, declaration, scale)
         with tempfile.TemporaryDirectory() as folder:
             pictures = {path.stem: path for path in plot_report(report, Path(folder))}
             picture = Image.open(pictures[plot]).convert("RGB")

@@ -55,11 +55,13 @@ def _plot_lines(
 
 
 def _colors(count: int) -> Sequence[Any]:
-    """Returns at least ``count`` different colours, up to 20."""
+    """Returns ``count`` different colours."""
     from matplotlib import colormaps
 
+    if count > 20:
+        return [colormaps["turbo"](number / (count - 1)) for number in range(count)]
     colors: Sequence[Any] = colormaps["tab10" if count <= 10 else "tab20"].colors  # type: ignore[attr-defined]
-    return colors
+    return colors[:count]
 
 
 def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
@@ -69,7 +71,7 @@ def _plot_success(report: BenchmarkReport, folder: Path) -> Path:
     """
     methods, categories = report.methods, report.categories_with_results
     measure, title = ("success", "Success") if report.beside_paper else ("within_best_tries", "Opened within the tries")
-    colors, labels = dict(zip(methods, _colors(len(methods)), strict=False)), dict[str, Any]()
+    colors, labels = dict(zip(methods, _colors(len(methods)), strict=True)), dict[str, Any]()
     figure = new_figure(max(8.0, 3 + 0.16 * len(methods) * len(categories)), 3.4 * len(report.splits))
     panels: Any = figure.subplots(len(report.splits), 1, squeeze=False)[:, 0]
     for axes, objects in zip(panels, report.splits, strict=True):

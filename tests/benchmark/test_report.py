@@ -342,6 +342,16 @@ def test_pictures_are_drawn_also_where_a_number_is_missing(cells: Path, tmp_path
         assert len(colors) > 20
 
 
+def test_each_of_many_methods_is_drawn(cells: Path, tmp_path: Path) -> None:
+    report = report_of(cells)
+    names = [f"method_{number}" for number in range(25)]
+    entries = {(name, "safe", "seen"): report.entries["ours", "safe", "seen"] for name in names}
+    many = dataclasses.replace(
+        report, titles=dict(zip(names, names, strict=True)), paper=dict.fromkeys(names, ""), entries=entries
+    )
+    assert plot_report(many, tmp_path)[0].name == "success.png"
+
+
 # Files ------------------------------------------------------------------------------------------------------------
 
 
