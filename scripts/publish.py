@@ -28,6 +28,8 @@ from lerobot_adamanip.evaluation.results import CellRun, read_result
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
+NAME = "dp3-adaptive"
+
 
 def result_paths(root: Path, method: str, category: str, seed: int) -> tuple[Path, ...]:
     """Returns the result files of a policy, that on seen objects first; raises `DatasetError` without that one."""
@@ -77,7 +79,8 @@ def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
         run = run_of(results)
         data = _folder(options.benchmark, run, MERGE if MERGE in run.steps else COLLECT)
         training = _folder(options.benchmark, run, TRAIN)
-        dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in ("adamanip", options.name))
+        data_name = "adamanip" if options.name == NAME else f"adamanip-{options.name}"
+        dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in (data_name, options.name))
         yield PushCommand("dataset", dataset, data, **shared)
         yield PushCommand("model", model, last_checkpoint(training), results, dataset=dataset, **shared)
     yield PushCommand("environment", f"{options.user}/adamanip", **shared)
@@ -95,7 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--user", required=True, help="user or organisation on the Hub")
     parser.add_argument("--benchmark", type=Path, default=Path("outputs/benchmark/test"), help="folder of a scale")
     parser.add_argument("--method", default="dp3_adaptive")
-    parser.add_argument("--name", default="dp3-adaptive", help="beginning of the policies' names")
+    parser.add_argument("--name", default=NAME, help="beginning of the policies' names; datasets of others have it too")
     parser.add_argument("--seed", type=int, default=1000, help="of the trainings")
     parser.add_argument("--categories", type=list_of(tuple(CATEGORIES)), default=tuple(CATEGORIES))
     parser.add_argument("--private", action="store_true")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import argparse
 import dataclasses
 import json
 import subprocess
@@ -44,7 +45,7 @@ def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run:
     assert not hub.repositories
     printed = json.loads(run(str(ROOT / "scripts" / "publish.py"), *options).stdout)
     assert [(each["kind"], each["repo_id"]) for each in printed] == [
-        ("dataset", "someone/adamanip-safe"),
+        ("dataset", "someone/adamanip-tiny-safe"),
         ("model", "someone/tiny-safe"),
         ("environment", "someone/adamanip"),
     ]
@@ -55,7 +56,22 @@ def test_a_policy_its_data_and_the_environments_are_published(folder: Path, run:
         success = cell.rows[0].metrics.success
         assert f"| Ours | safe | {objects} | paper | {success.count}/{success.episodes}" in card
         assert cell.command in card
-    assert "someone/adamanip-safe" in card
+    assert "someone/adamanip-tiny-safe" in card
+
+
+def test_policies_of_two_names_share_no_dataset(folder: Path) -> None:
+    shared = {"user": "someone", "benchmark": folder, "method": "ours", "seed": 1000, "categories": ("safe",)}
+    pushed = [
+        publish.publications(argparse.Namespace(**shared, name=name, private=True, dry_run=True))
+        for name in (publish.NAME, "no-memory", "other")
+    ]
+    datasets, models, _ = zip(*pushed, strict=True)
+    assert [each.repo_id for each in datasets] == [
+        "someone/adamanip-safe",
+        "someone/adamanip-no-memory-safe",
+        "someone/adamanip-other-safe",
+    ]
+    assert [each.dataset for each in models] == [each.repo_id for each in datasets]
 
 
 def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
