@@ -114,16 +114,17 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
     if (of := selection.removesuffix(FOR_TESTS)) in ("unseen", "novel"):
         choose = unseen_objects if of == "unseen" else novel_objects
         return choose(category, 2 * UNSEEN_COUNT)[UNSEEN_COUNT:]
-    if match := re.fullmatch(r"(n?)(\d+):\1(\d+)", selection):
+    if match := re.fullmatch(r"(n?)(\d{1,6}):\1(\d{1,6})", selection):
         numbers = range(int(match[2]), int(match[3]))
         ids = tuple(object_id(category, number, novel=bool(match[1])) for number in numbers)
     else:
-        ids = tuple(name.strip() for name in selection.split(",") if name.strip())
+        ids = () if ":" in selection else tuple(name.strip() for name in selection.split(",") if name.strip())
     if not ids or any(parse_object_id(name)[0] != category for name in ids):
         raise ConfigurationError(
             f"Wrong selection of objects for category {category!r}.",
             got=repr(selection),
-            allowed="seen | unseen | novel | unseen_test | novel_test | FIRST:END | nFIRST:nEND | id,id,...",
+            allowed="seen | unseen | novel | unseen_test | novel_test | FIRST:END | nFIRST:nEND | id,id,... "
+            "(numbers below 10^6)",
             hint="0:4",
         )
     return ids

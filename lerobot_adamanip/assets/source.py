@@ -165,7 +165,7 @@ class AssetSource:
         if selection in ("seen", "all"):
             return self._usable(category, self._candidates(category))
         chosen: tuple[str, ...] = ()
-        if match := re.fullmatch(r"(\d+):(\d+)", selection):
+        if match := re.fullmatch(r"(\d{1,6}):(\d{1,6})", selection):
             named = [each for each in self._candidates(category) if each.usable]
             if within := named[int(match[1]) : int(match[2])]:
                 return self._usable(category, within)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 
@@ -26,6 +27,24 @@ def require_suffix(path: Path, allowed: tuple[str, ...], hint: str) -> None:
     """Raises `ConfigurationError` for a file name with another ending than the allowed ones, in any case."""
     if path.suffix.lower() not in allowed:
         raise ConfigurationError("Unknown kind of file.", got=path, allowed=", ".join(allowed), hint=hint)
+
+
+def require_effects(command: Any, idle: Mapping[str, Sequence[str]]) -> None:
+    """Raises `ConfigurationError` for a chosen option of a command that would have no effect.
+
+    Args:
+        command: the dataclass of the options.
+        idle: where they have one, as an error says it, -> names of options without one here.
+    """
+    defaults = {item.name: item.default for item in fields(command)}
+    for allowed, names in idle.items():
+        for option in (f"--{name.replace('_', '-')}" for name in names if getattr(command, name) != defaults[name]):
+            raise ConfigurationError(
+                "An option has no effect here.",
+                got=option,
+                allowed=f"{option} {allowed}",
+                hint=f"leave out {option}",
+            )
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:

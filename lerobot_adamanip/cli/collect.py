@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_result
+from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_result, require_effects
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
@@ -230,27 +230,15 @@ class CollectCommand:
         )
         return dataclasses.replace(spec, environment=spec.environment.changed(observe_images=images))
 
-    def _require_effects(self) -> None:
-        """Raises `ConfigurationError` for an option that would have no effect."""
-        idle = {
+    def _spec_without_images(self) -> CollectionSpec:
+        from lerobot_adamanip.cli.collect_setup import objects_to_collect
+
+        idle: dict[str, tuple[str, ...]] = {
             "with --control dense": () if self.control == DENSE else ("fps", "action", "state", "cloud", "effort"),
             "with --policy": () if self.policy else ("expert_share",),
             "without --part": ("unscaled_poses",) if self.part else (),
         }
-        defaults = {item.name: item.default for item in dataclasses.fields(self)}
-        for allowed, names in idle.items():
-            for option in (f"--{name.replace('_', '-')}" for name in names if getattr(self, name) != defaults[name]):
-                raise ConfigurationError(
-                    "An option has no effect here.",
-                    got=option,
-                    allowed=f"{option} {allowed}",
-                    hint=f"leave out {option}",
-                )
-
-    def _spec_without_images(self) -> CollectionSpec:
-        from lerobot_adamanip.cli.collect_setup import objects_to_collect
-
-        self._require_effects()
+        require_effects(self, idle)
         categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
         same = (
             "objects", "num_points", "cloud_source", "poses", "mechanism_rules", "sensing", "self_calibration",

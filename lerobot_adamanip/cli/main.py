@@ -140,6 +140,16 @@ def execute(name: str, options: Sequence[str]) -> int:
         raise _missing_package(name, error) from error
 
 
+def _answer(arguments: Sequence[str]) -> int:
+    if not arguments or arguments[0] in ("-h", "--help"):
+        print(usage())
+        return 0 if arguments else EXIT_ERROR
+    if arguments[0] == "--version":
+        print(f"adamanip {lerobot_adamanip.__version__}")
+        return 0
+    return execute(arguments[0], arguments[1:])
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `adamanip` command.
 
@@ -147,17 +157,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 on success, 1 for a negative result of the command, 2 for a usage or setup error, 130 if interrupted.
     """
     arguments = list(sys.argv[1:] if argv is None else argv)
-    if not arguments or arguments[0] in ("-h", "--help"):
-        print(usage())
-        return 0 if arguments else EXIT_ERROR
-    if arguments[0] == "--version":
-        print(f"adamanip {lerobot_adamanip.__version__}")
-        return 0
     loads_policy = any(each.startswith("--policy") for each in arguments)
-    if argv is None and arguments[0] not in _USES_PLUGIN and not loads_policy:
+    if argv is None and arguments and arguments[0] not in _USES_PLUGIN and not loads_policy:
         os.environ[NO_PLUGIN] = "1"
     try:
-        return execute(arguments[0], arguments[1:])
+        status = _answer(arguments)
+        sys.stdout.flush()  # a pipe that its reader has closed is an error here, not at exit
+        return status
     except AdaManipError as error:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR

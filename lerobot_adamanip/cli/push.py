@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 
 import tyro
 
-from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result
+from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result, require_effects
 from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.repository_names import require_hub_name, require_release_name
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -94,6 +94,12 @@ class PushCommand:
                 allowed="dataset DIR, model DIR or environment",
                 hint="adamanip push dataset outputs/demos --repo-id YOU/adamanip-safe",
             )
+
+        of_kind = {"model": ("dataset", "results"), "dataset": ("assets",), "environment": ("category", "results")}
+        others = {name for names in of_kind.values() for name in names} - {*of_kind[self.kind]}
+        require_effects(
+            self, {f"with {kind}": [name for name in names if name in others] for kind, names in of_kind.items()}
+        )
 
     def _staged(self, into: Path) -> Staged:
         from lerobot_adamanip.evaluation.results import read_result

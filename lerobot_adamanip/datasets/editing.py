@@ -136,6 +136,8 @@ def assign(table: DataFrame, shares: Mapping[str, float] | None, *, by: str, see
     if shares is None:
         return {_folder_name(by, value): episodes for value, episodes in groups.items()}
     _check_shares(shares, len(groups), by)
+    if seed < 0:
+        raise ConfigurationError("A seed is negative.", got=seed, allowed="0 or more", hint="--seed 0")
     values = [list(groups)[place] for place in np.random.default_rng(seed).permutation(len(groups))]
     parts: dict[str, list[int]] = {}
     for name, count in zip(shares, _counts(list(shares.values()), len(values)), strict=True):

@@ -71,7 +71,7 @@ def _hidden_state(name: str, value: object) -> dict[str, HiddenValue]:
 def _try(name: str, value: object) -> TryMade:
     joint, sign, failed = json_fields.listing(lambda _, entry: entry, 3, 3)(name, value)
     return (
-        json_fields.integer(0, 20)(f"{name}[0]", joint),
+        json_fields.integer(0, 1)(f"{name}[0]", joint),  # a mechanism has two joints
         json_fields.integer(-1, 1)(f"{name}[1]", sign),
         json_fields.flag(f"{name}[2]", failed),
     )

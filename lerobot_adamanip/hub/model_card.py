@@ -16,6 +16,7 @@ from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, citation, front_matter
 from lerobot_adamanip.evaluation.results import ResultFile, command_options
 from lerobot_adamanip.hub.model_index import eval_results, results_table
+from lerobot_adamanip.util.json_fields import either, flag, integer, listing, mapping, number, optional, some, text
 
 _HIDDEN = "articulated objects whose mechanism cannot be seen"
 _SUMMARIES = {
@@ -57,6 +58,30 @@ _OF_ALL = {
 }  # fmt: skip
 """Options of environments that decide observations or scenes: at control rate, and at both with their defaults."""
 _TRAINING = ("steps", "batch_size", "seed", "num_workers")
+
+_NAME = text(r"[A-Za-z0-9_][\w./-]{0,199}", "a name of letters, digits, _ . / -")
+_VALUE = optional(either(flag, number(-1e15, 1e15), text(r"[^\r\n`<>|]{0,200}", "plain text of one line")))
+_FEATURES = optional(mapping(_NAME, some({"type": _NAME, "shape": listing(integer(0, 10**9), 0, 10)}), 1000))
+CARD_FIELDS = {
+    "config.json": some(
+        {
+            "type": _NAME,
+            "license": _VALUE,
+            "tags": optional(listing(text(r"[^\r\n]{1,100}", "a tag"), 0, 100)),
+            "input_features": _FEATURES,
+            "output_features": _FEATURES,
+            **dict.fromkeys((*_ROWS, "control_fps"), _VALUE),
+        }
+    ),
+    "train_config.json": some(
+        {
+            "env": optional(some({"type": optional(_NAME), **dict.fromkeys((*_OF_DENSE, *_OF_ALL), _VALUE)})),
+            "dataset": optional(some({})),
+            **dict.fromkeys(_TRAINING, _VALUE),
+        }
+    ),
+}
+"""File of a checkpoint -> check of what its card shows, which is Markdown and must not be markup of a file's own."""
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.environment import environment_files
-from lerobot_adamanip.hub.model_card import Checkpoint, model_card
+from lerobot_adamanip.hub.model_card import CARD_FIELDS, Checkpoint, model_card
 from lerobot_adamanip.hub.portable_config import shareable
 from lerobot_adamanip.hub.scan import Names, require_clean
 from lerobot_adamanip.util import json_fields
@@ -179,9 +179,8 @@ def _link(source: Path, names: Iterable[str], into: Path) -> None:
 def _check_checkpoint(folder: Path) -> list[str]:
     """Returns the names of the pipelines' state files. Raises `DatasetError` if a file is missing or damaged."""
     try:
-        for name in ("config.json", "train_config.json"):
-            if not isinstance(json_fields.read(folder / name), dict):
-                raise ValueError(f"{name} is no JSON object")
+        for name, fields_of_card in CARD_FIELDS.items():
+            fields_of_card(name, json_fields.read(folder / name))
         states = list(_state_files(pipeline_steps(folder)))
         for name in ("model.safetensors", *states):
             if not (folder / name).is_file():

@@ -115,6 +115,17 @@ def table(checks: Mapping[str, Check], ignored: Collection[str] = ()) -> Check:
     return check
 
 
+def some(checks: Mapping[str, Check]) -> Check:
+    """Returns a check of these fields of a mapping, null where one is missing; others are kept as they are."""
+
+    def check(name: str, value: object) -> dict[str, Any]:
+        if not isinstance(value, Mapping):
+            raise _wrong(name, value, "a JSON object")
+        return {**value, **{field: each(f"{name}.{field}", value.get(field)) for field, each in checks.items()}}
+
+    return check
+
+
 def record[Made](kind: type[Made]) -> Callable[[str, object], Made]:
     """Returns a check that parses a dataclass; each field is annotated with its own check.
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
 import sys
 from dataclasses import dataclass
 from types import ModuleType
@@ -68,6 +70,18 @@ def test_exit_status_and_message(
     for text, stream in ((out, printed.out), (err, printed.err)):
         assert text in stream
         assert bool(text) == bool(stream)
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("option", ["--help", "--version"])
+def test_a_pipe_that_its_reader_has_closed_is_no_traceback(option: str, unbuffered: str) -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "lerobot_adamanip.cli.main", option]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (cli.EXIT_ERROR, "")
 
 
 def test_help_lists_every_command() -> None:

@@ -373,6 +373,7 @@ def test_a_selection_that_cannot_be_is_one_clear_error(tmp_path: Path, content: 
     [
         (["--parts", "a=0.5,b=0.6"], "not shares of one"),
         (["--parts", "a=1"], "not shares of one"),
+        (["--parts", "a=0.5,b=0.5", "--seed", "-1"], "seed is negative"),
         (["--parts", "a=0.5,a=0.5"], "Wrong parts"),
         (["--parts", "../a=0.5,b=0.5"], "Wrong parts"),
         (["--parts", "a=half,b=0.5"], "Wrong parts"),

@@ -75,6 +75,7 @@ def test_a_record_that_lacks_something_names_line_and_key(key: str, tmp_path: Pa
         {"hidden_state": {"locked": 1}}, {"hidden_state": {"mode": "push"}}, {"hidden_state": []}, {"poses": 3},
         {"split": "holdout"}, {"object_split": "old"}, {"joints": {"door": "open"}}, {"joints": {"door": 1e999}},
         {"category": "lamp"}, {"max_failed_tries": -1}, {"try_sequence": [[0, 1]]}, {"simulation_version": 0},
+        {"try_sequence": [[2, 1, True]]},
         {"versions": {"torch": 2}}, {"run_id": 5}, {"evaluation": None}, {"colour": "red"},
     ],
     ids=str,

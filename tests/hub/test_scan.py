@@ -218,6 +218,32 @@ def test_a_checkpoint_that_lacks_something_is_one_clear_error(
     assert f"no {lost}" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
 
 
+FEATURE = {"type": "STATE", "shape": [3]}
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "field"),
+    [
+        ("config.json", {"type": None}, "type"), ("config.json", {"type": "x`\n\n<script>alert(1)</script>"}, "type"),
+        ("config.json", {"tags": "abc"}, "tags"), ("config.json", {"tags": [1]}, "tags[0]"),
+        ("config.json", {"license": [1]}, "license"), ("config.json", {"preset": "a|<b>"}, "preset"),
+        ("config.json", {"input_features": [FEATURE]}, "input_features"),
+        ("config.json", {"input_features": {"a|b": FEATURE}}, "input_features"),
+        ("config.json", {"output_features": {"action": {"type": "ACTION"}}}, "output_features.action.shape"),
+        ("train_config.json", {"env": "safe"}, "env"), ("train_config.json", {"env": {"memory": "```"}}, "env.memory"),
+        ("train_config.json", {"dataset": [1]}, "dataset"), ("train_config.json", {"steps": {}}, "steps"),
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_checkpoint_whose_card_would_be_wrong_is_one_clear_error(
+    trained: Path, tmp_path: Path, refuses: Refuses, *, name: str, changes: dict[str, Any], field: str
+) -> None:
+    mine = shutil.copytree(trained, tmp_path / "mine")
+    content = json.loads((mine / name).read_text())
+    (mine / name).write_text(json.dumps({**content, **changes}))
+    assert f"{name}.{field} is" in refuses(DatasetError, lambda: stage_model(mine, "a/policy", tmp_path / "staged"))
+
+
 def test_a_checkpoint_whose_pipeline_names_a_function_to_call_is_refused(
     trained: Path, tmp_path: Path, refuses: Refuses
 ) -> None:
