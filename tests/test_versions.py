@@ -13,7 +13,9 @@ from lerobot_adamanip.contract.versions import (
     mixed_versions,
     software_versions,
 )
+from lerobot_adamanip.datasets import cards
 from lerobot_adamanip.hub import environment
+from lerobot_adamanip.hub.model_card import Checkpoint, model_card
 
 
 def test_versions_that_differ_are_named_once() -> None:
@@ -48,12 +50,18 @@ def test_all_software_behind_a_row_has_a_version() -> None:
         ),
     ],
 )
-def test_an_environments_repository_asks_for_what_can_be_installed(
+def test_cards_ask_for_what_can_be_installed(
     monkeypatch: pytest.MonkeyPatch, version: str, requirement: str, install: str
 ) -> None:
-    monkeypatch.setattr(environment, "__version__", version)
+    monkeypatch.setattr(cards, "__version__", version)
     files = environment.environment_files("someone/adamanip", commit="c" * 40)
-    assert files["requirements.txt"] == f"lerobot_env_adamanip[sim]{requirement}\n"
+    *comments, line = files["requirements.txt"].splitlines()
+    assert line == f"lerobot_env_adamanip[sim]{requirement}"
+    assert f"# {install}" in comments
+    assert install.partition(" at commit")[0] in model_card(Checkpoint({"type": "act"}, {}, 1), "someone/policy")
+    for text in cards.template_texts():
+        assert "pip install 'lerobot_env" not in text
+        assert "pip install lerobot_env" not in text
     assert install in files["README.md"]
     for name in ("env.py", "envs/safe.py"):
         compile(files[name], name, "exec")

@@ -22,13 +22,12 @@ from packaging.version import Version
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.account import require_account
-from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_adamanip.util.errors import INSTALL_SIM, ConfigurationError
 
 DISTRIBUTION = "lerobot_env_adamanip"
 ENV_TYPES = ("adamanip", *(f"adamanip_{name}" for name in CATEGORIES))
 POLICY_TYPES = ("dp3_adaptive", "adaafford", "sampling", "vat_mart")
 INSTALL = "install the project again: pip install . (in a checkout: make setup)"
-INSTALL_SIM = "pip install 'lerobot_env_adamanip[sim]' (in a checkout: make setup)"
 PACKAGES = {
     **dict.fromkeys(("lerobot", "torch", "numpy", "gymnasium", "diffusers", "fpsample"), INSTALL),
     **dict.fromkeys(("mani-skill", "sapien", "opencv-python"), INSTALL_SIM),

@@ -14,7 +14,7 @@ import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.cli.option_names import check_options, unreadable_options
 from lerobot_adamanip.util.account import require_account
-from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError, SimulatorError, listed, nearest
+from lerobot_adamanip.util.errors import INSTALL_SIM, AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 _USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark")
@@ -104,9 +104,7 @@ def _missing_package(command: str, error: ModuleNotFoundError) -> AdaManipError:
     package = error.name or str(error)
     what, got = f"`adamanip {command}` needs a package that is not installed.", f"no module {package}"
     if package.partition(".")[0] in _SIMULATOR_PACKAGES:
-        return SimulatorError(
-            what, got=got, allowed="the simulator's packages", hint="pip install 'lerobot_env_adamanip[sim]'"
-        )
+        return SimulatorError(what, got=got, allowed="the simulator's packages", hint=INSTALL_SIM)
     hint = "install the project again; `adamanip doctor` shows what is missing"
     return ConfigurationError(what, got=got, allowed="a complete installation", hint=hint)
 

@@ -12,6 +12,9 @@ from pathlib import Path
 from string import Template
 from typing import Any
 
+from packaging.version import Version
+
+from lerobot_adamanip import __version__
 from lerobot_adamanip.assets import is_asset_id
 from lerobot_adamanip.catalog import category_of, select_objects
 from lerobot_adamanip.contract import schema
@@ -125,9 +128,22 @@ def template_texts() -> Iterator[str]:
     return (card_template(name).template for name in TEMPLATES)
 
 
-def citation() -> str:
-    """Returns the end of every card: citation, and the origins of code and objects."""
-    return card_template("citation.md").template.strip()
+def shared_fields(extra: str = "[sim]", *, commit: str = "") -> dict[str, str]:
+    """Returns the fields of every card.
+
+    ``citation`` is its end: citation, and the origins of code and objects. ``install`` are the shell lines that install
+    this version with ``extra``; a development version, of ``commit``, is on no package index.
+    """
+    where = f" at commit {commit[:10]}" if commit else ""
+    install = f"# {__version__} is no release: in a checkout of its repository{where}\npip install '.{extra}'"
+    if not Version(__version__).is_devrelease:
+        install = f"pip install '{requirement(extra)}'"
+    return {"citation": card_template("citation.md").template.strip(), "install": install}
+
+
+def requirement(extra: str = "[sim]") -> str:
+    """Returns the requirement of this version or, for a development version, also of the release that follows it."""
+    return f"lerobot_env_adamanip{extra}{'>=' if Version(__version__).is_devrelease else '=='}{__version__}"
 
 
 def front_matter(kind: str, fields: Mapping[str, Any]) -> str:
@@ -188,7 +204,7 @@ def dataset_card(folder: Path, name: str, repo_id: str, assets: str | Path | Non
     is_dense = is_dense_collection(dataset.features)
     fields = _common_fields(dataset, name, repo_id)
     if any(episode.row.get("recorded") is not None for episode in dataset.episodes):
-        return card_template("recorded_card.md").substitute(fields, **_sources(dataset))
+        return card_template("recorded_card.md").substitute({**fields, **shared_fields("")}, **_sources(dataset))
     manifest = dataset.manifest(assets) if manifest_path(folder).exists() else None
     episodes = dataset.descriptions()
     return card_template("dense_card.md" if is_dense else "dataset_card.md").substitute(
@@ -261,7 +277,7 @@ def _common_fields(dataset: Dataset, name: str, repo_id: str) -> dict[str, objec
         "key_frames": rows - len(dataset),
         "features": "\n".join(lines),
         "fps": dataset.fps,
-        "citation": citation(),
+        **shared_fields(),
     }
 
 

@@ -5,13 +5,19 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from packaging.version import Version
-
 from lerobot_adamanip import __version__
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
-from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, TAGS, card_template, citation, front_matter
+from lerobot_adamanip.datasets.cards import (
+    COLUMNS,
+    LICENSE,
+    TAGS,
+    card_template,
+    front_matter,
+    requirement,
+    shared_fields,
+)
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.model_index import results_table
 from lerobot_adamanip.mechanisms.table import RULES
@@ -42,7 +48,7 @@ def environment_files(
     return {
         "env.py": _shim(repo_id, category, commit),
         **{f"envs/{name}.py": _shim(f"{repo_id}:envs/{name}.py", name, commit) for name in CATEGORIES},
-        "requirements.txt": f"{_requirement()}\n",
+        "requirements.txt": _requirements(commit),
         "README.md": _card(repo_id, category, results, commit),
     }
 
@@ -69,13 +75,12 @@ def _card(repo_id: str, category: str, results: Sequence[ResultFile], commit: st
         ),
         results=results_table(results),
         simulation_version=SIMULATION_VERSION,
-        install=_install(commit),
-        citation=citation(),
+        **shared_fields(commit=commit),
     )
 
 
 def _shim(repo_id: str, category: str, commit: str) -> str:
-    install = _install(commit).removeprefix("# ").replace("\n", ": ")
+    install = shared_fields(commit=commit)["install"].removeprefix("# ").replace("\n", ": ")
     return card_template("env.py").substitute(_names(repo_id, category), install=install)
 
 
@@ -84,17 +89,9 @@ def _names(repo_id: str, category: str) -> dict[str, str]:
     return {"title": _title(category), "repo_id": repo_id, "version": __version__, "env_type": env_type}
 
 
-def _install(commit: str) -> str:
-    """Returns the shell lines that install this version; a development version is on no package index."""
-    if not Version(__version__).is_devrelease:
-        return f"pip install '{_requirement()}'"
-    where = f" at commit {commit[:10]}" if commit else ""
-    return f"# {__version__} is no release: in a checkout of its repository{where}\npip install '.[sim]'"
-
-
-def _requirement() -> str:
-    """Returns the requirement of this version or, for a development version, also of the release that follows it."""
-    return f"lerobot_env_adamanip[sim]{'>=' if Version(__version__).is_devrelease else '=='}{__version__}"
+def _requirements(commit: str) -> str:
+    comments = (f"# {line.removeprefix('# ')}\n" for line in shared_fields(commit=commit)["install"].splitlines())
+    return f"{''.join(comments)}{requirement()}\n"
 
 
 def _title(category: str) -> str:

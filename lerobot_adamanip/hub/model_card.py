@@ -13,7 +13,7 @@ from safetensors import safe_open
 
 from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, citation, front_matter
+from lerobot_adamanip.datasets.cards import COLUMNS, LICENSE, card_template, front_matter, shared_fields
 from lerobot_adamanip.evaluation.results import ResultFile, command_options
 from lerobot_adamanip.hub.model_index import eval_results, results_table
 from lerobot_adamanip.util.json_fields import either, flag, integer, listing, mapping, number, optional, some, text
@@ -141,6 +141,7 @@ def model_card(
         title=kind,
         summary=_SUMMARIES.get(kind, f"LeRobot's `{kind}`, trained on demonstrations at articulated objects."),
         repo_id=repo_id,
+        **shared_fields(),
         env_type=env_type,
         env_options="".join(f" --env.{name}={value}" for name, value in env_options.items()),
         facts=_facts(checkpoint),
@@ -148,7 +149,6 @@ def model_card(
         results=results_table(results),
         training=_training(training, demos),
         command=train_command(training, kind, env_type, demos),
-        citation=citation(),
     )
 
 

@@ -15,6 +15,8 @@ MOST_LISTED = 10
 
 GET_PICTURES = "bash scripts/setup_vulkan.sh in a checkout installs Mesa, adamanip doctor shows what is missing"
 """How to get a Vulkan device."""
+INSTALL_SIM = "pip install '.[sim]' in a checkout"
+"""How to get the simulator."""
 
 
 class AdaManipError(Exception):
@@ -165,5 +167,5 @@ def no_simulator(reason: object) -> SimulatorError:
         "The simulator is not installed.",
         got=reason,
         allowed="mani-skill 3.0.1 and sapien 3.0.3",
-        hint="pip install 'lerobot_env_adamanip[sim]'",
+        hint=INSTALL_SIM,
     )

@@ -12,7 +12,7 @@ import pytest
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.cli import main as cli
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import INSTALL_SIM, DatasetError
 
 
 @dataclass
@@ -58,7 +58,7 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
         (["probe", "--fail", "dataset"], 2, "", "error: half written\n"),
         (["probe", "--fail", "path"], 2, "", "some/file/x: Not a directory\n  allowed:"),
         (["probe", "--fail", "interrupt"], 130, "", "interrupted\n"),
-        (["probe", "--fail", "simulator"], 2, "", "lerobot_env_adamanip[sim]"),
+        (["probe", "--fail", "simulator"], 2, "", INSTALL_SIM),
         (["absent"], 2, "", "no_such_module"),
     ],
 )

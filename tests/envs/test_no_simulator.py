@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from envs_helpers import NO_VULKAN, in_fresh_process
 
+from lerobot_adamanip.util.errors import INSTALL_SIM
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 PLAIN = """
@@ -88,4 +89,4 @@ def test_without_the_simulator_the_extra_is_named(name: str) -> None:
     """When an episode begins: environments are made without it."""
     said, count, loaded = in_fresh_process(BLOCK.format(name=name) + PLAIN)
     assert (len(said), count, loaded) == (3, 2, [])
-    assert all(name in each and "lerobot_env_adamanip[sim]" in each for each in said)
+    assert all(name in each and INSTALL_SIM in each for each in said)
