@@ -58,6 +58,11 @@ def test_a_manifest_holds_the_share_if_there_are_hints() -> None:
     plain = CollectionSpec(EnvironmentOptions("door"), ("door_000",))
     hinted = CollectionSpec(EnvironmentOptions("door", hints=0.5), ("door_000",))
     assert set(environment_json(hinted.environment)) - set(environment_json(plain.environment)) == {"hints"}
+    with pytest.raises(ConfigurationError, match="No hint exists"):
+        EnvironmentOptions("microwave", mechanism_rules="changing", hints=0.5)
+    EnvironmentOptions("microwave", hints=0.5)
+    EnvironmentOptions("microwave", mechanism_rules="changing")
+    EnvironmentOptions("door", mechanism_rules="changing", hints=0.5)
     for wrong in ({"hints": 1.5}, {"repeats": 0}):
         with pytest.raises(ConfigurationError, match="allowed:"):
             EnvironmentOptions("door", **wrong)

@@ -13,6 +13,10 @@ LEFT: Mapping[str, int] = {
 """Category -> sign of a left turn: counterclockwise from above, or from the front of a vertical surface."""
 
 
+HINTED = frozenset({"locked", "direction", "mode"})
+"""Hidden values that a hint names."""
+
+
 def instruction(category: str, hidden: Mapping[str, bool | int | float], seed: int, share: float) -> str:
     """Returns the instruction of an episode: the category's, in a share of seeds with a hint.
 

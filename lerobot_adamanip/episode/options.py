@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, c
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS, BalancedDraws
 from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
+from lerobot_adamanip.episode.hints import HINTED
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice, require_types
 
 POSES = ("randomized", "fixed")
@@ -146,8 +147,8 @@ class EnvironmentOptions:
         require_rules(self.category, self.mechanism_rules)
         # Ranges depend on the object, so a reset checks them.
         if chosen := {name: value for name, value in self.hidden_overrides.items() if not isinstance(value, float)}:
-            mechanism = make_mechanism(get_object(first, self.assets), self.mechanism_rules)
-            mechanism.draw(BalancedDraws(0, self.category), chosen)
+            drawn = make_mechanism(get_object(first, self.assets), self.mechanism_rules)
+            drawn.draw(BalancedDraws(0, self.category), chosen)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
         object.__setattr__(self, "sensing", "".join(self.sensing.lower().split()))
@@ -157,7 +158,8 @@ class EnvironmentOptions:
         require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
         require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
         require_choice("kind of state", self.state, STATES, hint="--env.state=pose")
-        self._check_effect()
+        mechanism = make_mechanism(get_object(first, self.assets), self.mechanism_rules) if self.hints else None
+        self._check_effect(HINTED if mechanism is None else mechanism.hidden_names)
         check_memory(self.memory, control=self.control, action=self.action)
         if self.fps not in RATES:
             raise ConfigurationError("Wrong rate of control.", got=self.fps, allowed=str(RATES), hint="--env.fps=10")
@@ -186,8 +188,15 @@ class EnvironmentOptions:
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
             )
 
-    def _check_effect(self) -> None:
-        """Refuses options that change nothing with this control."""
+    def _check_effect(self, hidden_names: Iterable[str]) -> None:
+        """Refuses options that change nothing with this control, and hints where none of ``hidden_names`` has one."""
+        if HINTED.isdisjoint(hidden_names):
+            raise ConfigurationError(
+                f"No hint exists for the category {self.category!r} with the mechanism rules {self.mechanism_rules!r}.",
+                got=f"hints={self.hints:g}",
+                allowed="hints=0, another category or other rules",
+                hint="leave out --env.hints",
+            )
         for name in () if self.is_dense else OF_DENSE:
             default = getattr(EnvironmentOptions, name)
             if getattr(self, name) != default:
