@@ -182,12 +182,19 @@ class EpisodeRecord:
 
     @property
     def counted_tries(self) -> tuple[TryMade, ...]:
-        """The tries, without pulls that stall after the part has given way: nothing is hidden there any more."""
-        counted, has_given_way = list[TryMade](), False
+        """The tries, without pulls that stall after the part has given way: nothing is hidden there any more.
+
+        In a row of locks a part that is held at the notch gives way only after the key has turned back.
+        """
+        counted, has_given_way, is_pulled = list[TryMade](), False, False
+        hidden, is_row = self.hidden_state, self.provenance.mechanism_rules == "row"
+        has_notch = is_row and bool(hidden.get("second_pulls")) and not hidden.get("third_pulls")
         for joint, sign, failed in self.try_sequence:
             if joint > 0 or not (failed and has_given_way):
                 counted.append((joint, sign, failed))
-            has_given_way |= joint == 0 and not failed
+            is_pulled |= joint == 0 and not failed
+            has_notch &= not (is_pulled and not failed and (joint, sign) == (1, -hidden.get("direction", 0)))
+            has_given_way |= joint == 0 and not failed and not has_notch
         return tuple(counted)
 
     @property

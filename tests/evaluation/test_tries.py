@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -122,6 +123,17 @@ def test_what_stalls_after_the_part_has_given_way_is_not_counted(tries: list[Try
     assert list(made.counted_tries[first:]) == [each for each in tries[first:] if each[0] > 0 or not each[2]]
     assert made.failed_tries == sum(fails for _, _, fails in made.counted_tries)
     assert EpisodeRecord.from_json(made.to_json()) == made, "a log keeps all of them"
+
+
+@pytest.mark.parametrize(
+    ("rules", "second", "third", "counted"),
+    [("row", True, False, 2), ("row", True, True, 0), ("row", False, True, 0), ("paper", True, False, 0)],
+)
+def test_a_part_at_a_notch_has_not_given_way(rules: str, second: bool, third: bool, counted: int) -> None:
+    tries = ((1, 1, False), PULLED, PULL, PULL, (1, -1, False), PULLED, PULL)
+    made = episode(*tries, hidden_state={"direction": 1, "second_pulls": second, "third_pulls": third})
+    made = replace(made, provenance=replace(made.provenance, mechanism_rules=rules))
+    assert made.failed_tries == counted
 
 
 def test_trying_the_locked_door_first_needs_a_lock_the_handle_and_a_failed_pull() -> None:
