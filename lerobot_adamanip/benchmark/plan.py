@@ -146,8 +146,7 @@ def select_cells(
                 f"The scale {scale!r} has no such cells{'' if part is every else ' in this selection'}.",
                 got=_listed(lacking),
                 allowed=_listed({name: dict.fromkeys(getattr(cell, name) for cell in every) for name in filters}),
-                hint="adamanip benchmark --list (a method without training has the first seed alone); or use your own "
-                "declaration with --config FILE",
+                hint="adamanip benchmark --list; methods without training have the first seed alone",
             )
     return cells
 

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import tyro
 
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
+from lerobot_adamanip.mechanisms.table import COMPOSED
 from lerobot_adamanip.util.errors import ConfigurationError
 
 DatasetFolder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
@@ -45,6 +46,22 @@ def require_effects(command: Any, idle: Mapping[str, Sequence[str]]) -> None:
                 allowed=f"{option} {allowed}",
                 hint=f"leave out {option}",
             )
+
+
+def require_expert_options(expert: str, trials: int, strategy: str, rules: str) -> None:
+    """Raises `ConfigurationError` for options of the adaptive expert that it, or another expert, would ignore."""
+    is_composed = rules in COMPOSED
+    idle = {
+        "--trials": trials != 1 and (expert != "adaptive" or is_composed),
+        "--expert-strategy": strategy == "upstream" and is_composed,
+    }
+    for option in (name for name, is_idle in idle.items() if is_idle):
+        raise ConfigurationError(
+            "An option has no effect here.",
+            got=f"{option} with --expert {expert} --mechanism-rules {rules}",
+            allowed=f"{option} with --expert adaptive and other mechanism rules than {', '.join(COMPOSED)}",
+            hint=f"leave out {option}",
+        )
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:

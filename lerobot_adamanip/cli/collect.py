@@ -10,7 +10,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from lerobot_adamanip.cli.arguments import CategoryOrAll, DatasetFolder, print_result, require_effects
+from lerobot_adamanip.cli.arguments import (
+    CategoryOrAll,
+    DatasetFolder,
+    print_result,
+    require_effects,
+    require_expert_options,
+)
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
@@ -233,6 +239,7 @@ class CollectCommand:
     def _spec_without_images(self) -> CollectionSpec:
         from lerobot_adamanip.cli.collect_setup import objects_to_collect
 
+        require_expert_options(self.expert, self.trials, self.expert_strategy, self.mechanism_rules)
         idle: dict[str, tuple[str, ...]] = {
             "with --control dense": () if self.control == DENSE else ("fps", "action", "state", "cloud", "effort"),
             "with --policy": () if self.policy else ("expert_share",),

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from lerobot_adamanip.cli.arguments import Category, print_result
+from lerobot_adamanip.cli.arguments import Category, print_result, require_expert_options
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import Stream, episode_generator
@@ -80,6 +80,7 @@ class ExpertCommand:
 
     def run(self) -> int:
         """Runs the episodes and reports them. Returns 0."""
+        require_expert_options(self.expert, self.trials, self.expert_strategy, self.mechanism_rules)
         if self.episodes < 1:
             raise ConfigurationError("No episode.", got=self.episodes, allowed="1 or more", hint="--episodes 50")
         if self.seed < 0:
