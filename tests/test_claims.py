@@ -310,8 +310,8 @@ def test_scenes_that_are_played_again_are_counted_as_said() -> None:
         turns = [f"{percent_text(opened.rate)}, {show(tries)}" for opened, tries in report.by_turn(method, "unseen")]
         assert f"| {title} | {' | '.join(turns)} |" in text
     for pair, words in (
-        ((each, removed), "Within an episode the memory opens"),
-        ((kept, each), "over episodes it makes"),
+        ((each, removed), "Within an episode the memory is worth"),
+        ((kept, each), "over episodes it is worth"),
     ):
         difference = report.paired(pair, report.categories, "unseen", OPENED)
         assert difference is not None
