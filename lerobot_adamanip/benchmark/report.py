@@ -141,7 +141,7 @@ class BenchmarkReport:
             if all(one and other and scenes_of(one) == scenes_of(other) for one, other in both):
                 rows = [(one.rows[0], other.rows[0]) for one, other in both if one and other]
                 pairs[seed] = [(one.scene_outcomes, other.scene_outcomes) for one, other in rows]
-                repeats = next((repeats_of(one) for one, _ in both if one), 1)
+                repeats = next((_repeats(one) for one, _ in both if one), 1)
         lengths = {len(first) for several in pairs.values() for first, _ in several}
         return paired_difference(pairs, min_outcome, repeats) if len(lengths) == 1 else None
 
@@ -171,17 +171,14 @@ class BenchmarkReport:
         """
         turns: dict[int, list[str]] = {}
         for result in (result for entry in self.of(method, objects) for result in entry.results):
-            row, repeats = result.rows[0], repeats_of(result)
+            row, repeats = result.rows[0], _repeats(result)
             tries = [
                 "" if pair[0] == FAILED else pair[1] for pair in zip(row.scene_outcomes, row.scene_tries, strict=False)
             ]
             for turn in range(repeats if repeats > 1 else 0):
                 turns.setdefault(turn, []).extend(tries[turn::repeats])
-        opened = [[int(each) for each in tries if each] for tries in turns.values()]
-        return [
-            (rate(len(some), len(tries)), Mean(sum(some), len(some)))
-            for some, tries in zip(opened, turns.values(), strict=True)
-        ]
+        opened = {turn: [int(each) for each in tries if each] for turn, tries in turns.items()}
+        return [(rate(len(some), len(turns[turn])), Mean(sum(some), len(some))) for turn, some in opened.items()]
 
     def runs_of(self, method: str) -> list[CellRun]:
         """Returns the `CellRun` of each result of a method."""
@@ -219,8 +216,7 @@ def scenes_of(result: ResultFile) -> tuple[object, ...]:
     return result.simulation_version, result.seeds, len(result.rows[0].scene_outcomes), deciding
 
 
-def repeats_of(result: ResultFile) -> int:
-    """Returns how many times in a row an evaluation plays each scene."""
+def _repeats(result: ResultFile) -> int:
     return int(evaluation_options(result.command).get("--env.repeats", 1))
 
 

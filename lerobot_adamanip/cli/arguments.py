@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeAlias
 import tyro
 
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.mechanisms.table import COMPOSED
 from lerobot_adamanip.util.errors import ConfigurationError
 
 DatasetFolder = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="DIR")]
@@ -40,28 +39,26 @@ def require_effects(command: Any, idle: Mapping[str, Sequence[str]]) -> None:
     defaults = {item.name: item.default for item in fields(command)}
     for allowed, names in idle.items():
         for option in (f"--{name.replace('_', '-')}" for name in names if getattr(command, name) != defaults[name]):
-            raise ConfigurationError(
-                "An option has no effect here.",
-                got=option,
-                allowed=f"{option} {allowed}",
-                hint=f"leave out {option}",
-            )
+            raise _no_effect(option, option, f"{option} {allowed}")
 
 
 def require_expert_options(expert: str, trials: int, strategy: str, rules: str) -> None:
     """Raises `ConfigurationError` for options of the adaptive expert that it, or another expert, would ignore."""
+    from lerobot_adamanip.mechanisms.table import COMPOSED  # with NumPy, which not every command needs
+
     is_composed = rules in COMPOSED
     idle = {
         "--trials": trials != 1 and (expert != "adaptive" or is_composed),
         "--expert-strategy": strategy == "upstream" and is_composed,
     }
     for option in (name for name, is_idle in idle.items() if is_idle):
-        raise ConfigurationError(
-            "An option has no effect here.",
-            got=f"{option} with --expert {expert} --mechanism-rules {rules}",
-            allowed=f"{option} with --expert adaptive and other mechanism rules than {', '.join(COMPOSED)}",
-            hint=f"leave out {option}",
-        )
+        got = f"{option} with --expert {expert} --mechanism-rules {rules}"
+        allowed = f"{option} with --expert adaptive and other mechanism rules than {', '.join(COMPOSED)}"
+        raise _no_effect(option, got, allowed)
+
+
+def _no_effect(option: str, got: str, allowed: str) -> ConfigurationError:
+    return ConfigurationError("An option has no effect here.", got=got, allowed=allowed, hint=f"leave out {option}")
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:

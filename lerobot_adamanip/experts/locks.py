@@ -188,7 +188,7 @@ class LocksExpert:
 
     @property
     def _least(self) -> float:
-        """Motion in a key frame of a pull with less of which the part is held [rad or m]."""
+        """Least motion of the part in a key frame of a pull [rad or m]; if it moves less, it is held."""
         return MIN_PROGRESS * HAND_COMPLIANCE[self.parts[self.style.part].motion(self.style.final).kind]
 
     def _finish_turn(self, back: float = np.inf) -> Attempt:

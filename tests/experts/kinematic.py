@@ -274,7 +274,7 @@ def as_bytes(goals: list[Goal]) -> list[tuple[bytes, float, Phase]]:
 
 @dataclass
 class Watched:
-    """A world in which somebody acts whom the expert only watches."""
+    """A world in which another agent acts, and the expert only observes."""
 
     world: KinematicWorld
     belief: Belief = field(default_factory=Belief)
