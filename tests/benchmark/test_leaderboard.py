@@ -23,7 +23,8 @@ from lerobot_adamanip.evaluation.rates import rate
 from lerobot_adamanip.evaluation.results import ResultFile, ResultRow, StepDone, read_result, write_result
 from lerobot_adamanip.util.errors import DatasetError
 
-METHOD = "dp3_adaptive"
+METHOD = "mine"
+TABLE = f'\n[methods.mine]\nlike = "dp3_adaptive"\ntitle = "mine"\nscales = {list(SCALES)}\n'
 type MakeEntry = Callable[..., Path]
 
 
@@ -36,7 +37,7 @@ def _example(tmp_path_factory: pytest.TempPathFactory) -> ResultFile:
 
 @pytest.fixture(name="enter")
 def _enter(tmp_path: Path, example: ResultFile) -> MakeEntry:
-    def make(name: str, opened: int, method: str = METHOD, table: str = "", **changes: Any) -> Path:
+    def make(name: str, opened: int, method: str = METHOD, table: str = TABLE, **changes: Any) -> Path:
         folder = tmp_path / name
         folder.mkdir()
         (folder / DECLARATION).write_text(TRACKS.read_text() + table)
@@ -134,7 +135,7 @@ def test_a_script_checks_an_entry(
     folder = enter("mine", 30)
     monkeypatch.setattr("sys.argv", ["check_entry.py", str(folder)])
     assert script["main"]() == 0
-    assert capsys.readouterr().out.count("real_sensors | dp3_adaptive-") == 18
+    assert capsys.readouterr().out.count("real_sensors | mine-") == 18
     next((folder / "row").glob("*.json")).unlink()
     assert script["main"]() == 2
     assert "1 of 7 cells are missing" in capsys.readouterr().err
@@ -276,7 +277,7 @@ def test_each_step_is_that_of_the_declaration(name: str, enter: MakeEntry) -> No
     ],
 )
 def test_a_method_chooses_its_observations_and_not_its_scenes(field: str, problem: str, enter: MakeEntry) -> None:
-    table = f'\n[methods.mine]\nlike = "dp3_adaptive"\ntitle = "mine"\nscales = {list(SCALES)}\n{field}\n'
+    table = f"{TABLE}{field}\n"
     folder = enter("mine", 30, "mine", table)
     if problem:
         assert problem in lacking(folder)

@@ -8,21 +8,17 @@ from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, cached_object, object_names, placed_parts, run, static
 
 from lerobot_adamanip.catalog import seen_objects
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.contract.rotations import pose_vector, rotation_about, transform
+from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
 from lerobot_adamanip.experts import EXPERT_STRATEGIES, Feedback, Goal, KeyFrames, Outcome, Phase, make_expert
 from lerobot_adamanip.mechanisms import rules_of
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.contacts import Past
-from lerobot_policy_adamanip.common.geometry import motion_between
-from lerobot_policy_adamanip.dp3_adaptive.rules import undoes_step
 
 fast = settings(max_examples=8, deadline=None)
 seeds = st.integers(0, 2**31 - 1)
@@ -58,24 +54,6 @@ def test_it_succeeds_under_every_preset(
     world = KinematicWorld(data.draw(object_names(category)), draw=draw, preset=presets[0])
     episode = run(world, adaptive(world, seed, preset=presets[1]))
     assert episode.key_frames <= MAX_KEY_FRAMES, (world.hidden, episode.phases)
-
-
-@every_category
-@fast
-@given(st.data(), seeds, seeds)
-def test_no_step_is_undone_before_anything_was_tried(category: str, data: st.DataObject, draw: int, seed: int) -> None:
-    """So the policy's rule forbids nothing that demonstrations do; without contact events it would."""
-    world = KinematicWorld(data.draw(object_names(category)), draw=draw)
-    felt = [pose_vector(world.feedback.tcp_in_base, world.feedback.gripper)]
-    episode = run(world, adaptive(world, seed, strategy="to_stop"))
-    felt += [pose_vector(each.tcp_in_base, each.gripper) for each in episode.felt]
-    poses = torch.from_numpy(np.stack(felt)).float()[None]
-    commands = torch.from_numpy(np.stack([goal.action() for goal in episode.goals]))[None]
-    valid = torch.ones(commands.shape[:2], dtype=torch.bool)
-    for step in range(1, commands.shape[1]):
-        past = Past(commands[:, :step], poses[:, : step + 1], valid[:, :step])
-        motion = motion_between(commands[:, step], poses[:, step])[:, None]
-        assert not undoes_step(past, motion).any(), (step, episode.phases)
 
 
 @every_category

@@ -47,13 +47,10 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"inference": Inference(temperature=0.0)}, {"inference": Inference(latest_events=-1)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"}, {"use_feedback": "false"},
-        {"num_points": "64"}, {"optimizer_lr": "small"}, {"inference": Inference(rules="false")},  # type: ignore[arg-type]
+        {"num_points": "64"}, {"optimizer_lr": "small"}, {"inference": Inference(memory="false")},  # type: ignore[arg-type]
         {"memory_episodes": 3, "preset": "dp3"},  # it remembers nothing
         {"memory_episodes": 3, "preset": "paper"}, {"memory_episodes": 3, "n_action_history_steps": 0},
-        *(
-            {"inference": Inference(**{rule: True}), "n_action_history_steps": 0}
-            for rule in ("rules", "no_repeat", "no_undo", "back_off")
-        ),
+        {"inference": Inference(no_repeat=True), "n_action_history_steps": 0},
         *({**wrong, "preset": preset} for preset in ("dense", "dp3") for wrong in WRONG_UNET),
     ],
 }  # fmt: skip
@@ -188,8 +185,8 @@ def test_presets_have_the_numbers_of_the_paper_and_of_dp3s_release() -> None:
 
 @pytest.mark.parametrize("preset", PRESETS)
 def test_a_saved_configuration_comes_back_whole(tmp_path: Path, preset: str) -> None:
-    rules = Inference(memory=False) if preset == "keyframe" else Inference()
-    options: dict[str, Any] = {"encoder_dims": (8, 16), "inference": rules}
+    inference = Inference(memory=False) if preset == "keyframe" else Inference()
+    options: dict[str, Any] = {"encoder_dims": (8, 16), "inference": inference}
     config = DP3AdaptiveConfig(preset=preset, num_points=77, use_effort=True, device="cpu", tags=["a"], **options)
     shapes = {schema.POINT_CLOUD: (77, 3), schema.STATE: (24,), schema.EFFORT: (7,)}
     config.input_features = {key: PolicyFeature(FeatureType.STATE, shape) for key, shape in shapes.items()}

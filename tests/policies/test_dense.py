@@ -239,13 +239,13 @@ def test_data_without_clouds_name_the_options_that_record_them(refuses: Any) -> 
     assert "--action ee_pose" in refuses(ConfigurationError, config.require_poses)
 
 
-def test_rules_of_key_frames_cannot_be_switched_at_control_rate(refuses: Any) -> None:
+def test_at_control_rate_the_rule_of_key_frames_is_refused(refuses: Any) -> None:
     from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
 
     for used in (Inference(memory=False), Inference(latest_events=1)):
         assert DP3AdaptiveConfig(preset="dense", device="cpu", inference=used).inference == used
-    for wrong in (Inference(no_repeat=True), Inference(rules=True)):
-        refuses(AdaManipError, lambda wrong=wrong: DP3AdaptiveConfig(preset="dense", device="cpu", inference=wrong))
+    rule = Inference(no_repeat=True)
+    refuses(AdaManipError, lambda: DP3AdaptiveConfig(preset="dense", device="cpu", inference=rule))
 
 
 def test_what_is_no_pose_is_not_mirrored_in_silence(make: Make, monkeypatch: pytest.MonkeyPatch) -> None:

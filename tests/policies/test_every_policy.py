@@ -95,7 +95,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             *("n_action_history_steps=1", "depth_camera=wrist", "workspace_lower=[0,0,0]"),
         ),
         (
-            *("n_action_history_steps=0", "inference.rules=true", "inference.memory=false", "memory_episodes=3"),
+            *("n_action_history_steps=0", "inference.no_repeat=true", "inference.memory=false", "memory_episodes=3"),
             *("num_inference_steps=1", "num_refinements=1", "augmentation_mirror=0.5", "training_points=8"),
         ),
     ),

@@ -9,7 +9,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, GRIPPER_DIM, STATE
+from lerobot_adamanip.contract.schema import ACTION, ACTION_DIM, STATE
 from lerobot_policy_adamanip.common.geometry import MOTION_UNITS, motion_between
 from lerobot_policy_adamanip.common.inputs import RecordedRows
 
@@ -53,10 +53,9 @@ def cluster_motions(motions: NDArray[np.float32], count: int) -> tuple[Tensor, T
     return torch.from_numpy(typical), torch.from_numpy(spread)
 
 
-def demonstrated_motions(recorded: RecordedRows) -> tuple[Tensor, Tensor]:
-    """Returns the motions (M, 7) to all labels of a dataset, and the hands' openings (M,) at their start."""
-    state = recorded.labelled(STATE)
-    return motion_between(recorded.labelled(ACTION), state[:, :ACTION_DIM]), state[:, GRIPPER_DIM]
+def demonstrated_motions(recorded: RecordedRows) -> Tensor:
+    """Returns the motions (M, 7) to all labels of a dataset."""
+    return motion_between(recorded.labelled(ACTION), recorded.labelled(STATE)[:, :ACTION_DIM])
 
 
 def warn_of_other_motions(motions: Tensor, anchors: Tensor, spread: Tensor) -> None:

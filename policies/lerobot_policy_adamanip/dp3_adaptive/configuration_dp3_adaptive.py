@@ -45,9 +45,9 @@ class HeadMethod:
     control: str | None = KEYFRAME
 
     @property
-    def has_rules(self) -> bool:
-        """Whether typical motions, their refinement and rules act beside the network: they are of key frames."""
-        return self.frame == "tool" and self.control == KEYFRAME
+    def has_anchors(self) -> bool:
+        """Whether actions are drawn around typical motions, and refined."""
+        return self.head == "truncated"
 
 
 METHODS = {
@@ -115,13 +115,11 @@ FREE = {
     "scheduler_warmup_steps",
 }  # fmt: skip
 """Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
-READ_HISTORY = ("no_repeat", "no_undo", "back_off")
-"""Rules at inference that read past actions."""
 
 
 @dataclass
 class Inference:
-    """Memory, sampling and rules at inference. They do not change training. Presets dp3 and paper use none."""
+    """Memory and sampling at inference. They do not change training. Presets dp3 and paper use none."""
 
     # Use the learned memory of contact events.
     memory: bool = True
@@ -129,26 +127,8 @@ class Inference:
     latest_events: int = 0
     # Divides the scores of the anchors before one is drawn: below 1, unlikely motions are drawn less often.
     temperature: float = 0.25
-    # Turn on all hand-written rules below. Without them, all that the policy does is learned.
-    rules: bool = False
-    # Do not draw a motion that has failed, until something has moved.
+    # Do not draw a motion that has failed, until something has moved: a rule written by hand, the memory's baseline.
     no_repeat: bool = False
-    # Do not undo a step before anything was tried.
-    no_undo: bool = False
-    # An open hand whose way is blocked backs off.
-    back_off: bool = False
-    # Draw only motions that demonstrations start with a hand in the present state (empty, holding, open).
-    hand_state_mask: bool = False
-    # Anchors of a probability below 0.03 are not drawn.
-    probability_floor: bool = False
-    # Draw again if the drawn action cannot be used: at most 4 draws.
-    redraw: bool = False
-    # Swap the fingers of a refined grasp if the hand then turns less.
-    swap_fingers: bool = False
-
-    def uses(self, rule: str) -> bool:
-        """Returns whether a rule, named as its switch, is on."""
-        return self.rules or bool(getattr(self, rule))
 
 
 def from_preset() -> Any:
@@ -171,7 +151,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     preset: str = "keyframe"
     # Set automatically: the preset that the saved values come from.
     values_from: str | None = None
-    # Memory, sampling and rules at inference (keyframe; dense has the memory alone).
+    # Memory and sampling at inference (keyframe; dense has the memory alone).
     inference: Inference = field(default_factory=Inference)
 
     # Observed steps, including the present one; 1 in the tool's frame (keyframe 1, dense 1, dp3 2, paper 4).
@@ -274,7 +254,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 hint=f"a new training with --policy.type=dp3_adaptive --policy.preset={self.preset}",
             )
         foreign = [name for name in OPTIONS - values.keys() if getattr(self, name) is not None]
-        if self._has_unused_rules():
+        if self._has_unused_inference():
             foreign.append("inference")
         for name in foreign:
             others = [preset for preset in PRESETS if name in PRESETS[preset]] or ["keyframe"]
@@ -289,10 +269,10 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 setattr(self, name, values.get(name))
         self.values_from = self.preset
 
-    def _has_unused_rules(self) -> bool:
+    def _has_unused_inference(self) -> bool:
         """Whether ``inference`` switches what this preset does not have."""
         used = self.inference if self.method.frame == "base" else replace(self.inference, memory=True, latest_events=0)
-        return used != Inference() and not self.method.has_rules
+        return used != Inference() and not self.method.has_anchors
 
     def _check_sizes(self) -> None:
         fits = all(getattr(self, name) >= 1 for name in COUNTS if name in PRESETS[self.preset])
@@ -330,13 +310,12 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         if self.memory_episodes < 1 or (self.memory_episodes > 1 and not remembers):
             allowed = "1 or more; 1 without a history of actions, and with presets dp3 and paper"
             raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
-        blind = [rule for rule in READ_HISTORY if self.inference.uses(rule)]
-        if blind and not self.n_action_history_steps:
+        if self.inference.no_repeat and not self.n_action_history_steps:
             raise self._error(
-                f"{', '.join(blind)}: these rules read the history of actions, which this policy does not have.",
+                "inference.no_repeat reads the history of actions, which this policy does not have.",
                 ["n_action_history_steps"],
                 "1 or more in training and evaluation",
-                "rules of their own, such as --policy.inference.redraw=true, or none",
+                "without --policy.inference.no_repeat",
             )
 
     def _check_horizon(self) -> None:

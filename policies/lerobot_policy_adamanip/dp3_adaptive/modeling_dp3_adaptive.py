@@ -3,8 +3,8 @@
 Paper, section 4.2: P(A_t | O_t, A^_t), observations O_t and *action history* A^_t. A *head* draws the next actions from
 a `Window` of both. `DP3AdaptivePolicy` makes windows, in training from recorded rows and at run time from its own
 history. `TruncatedHead`, the default, denoises around a typical motion of the demonstrations. Start with
-`select_action` and `TruncatedHead.sample`. Read on in `common.contacts` (past key frames and memory), `rules` (a
-baseline at inference) and `diffusion` (the heads for chunks of actions).
+`select_action` and `TruncatedHead.sample`. Read on in `common.contacts` (past key frames and memory), `no_repeat`
+(a baseline at inference) and `diffusion` (the heads for chunks of actions).
 """
 
 import copy
@@ -74,8 +74,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._ema_count: int | None = None  # set when `update` reads the buffer
         self.register_load_state_dict_post_hook(lambda policy, _: setattr(policy, "_ema_count", None))
         self._attach_dataset(dataset_meta, is_trained=config.pretrained_path is not None)
-        if self.recorded is not None and config.method.has_rules:
-            self.fit_anchors(*demonstrated_motions(self.recorded))
+        if self.recorded is not None and config.method.has_anchors:
+            self.fit_anchors(demonstrated_motions(self.recorded))
         self._episodes, self._has_acted = 0, False
         self.reset()
 
@@ -95,9 +95,9 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Loads a checkpoint as LeRobot does. Units of clouds and typical motions stay the checkpoint's."""
         policy = super().from_pretrained(pretrained_name_or_path, **kwargs)
         policy._attach_dataset(dataset_meta, is_trained=True)
-        if policy.recorded is not None and policy.config.method.has_rules:
+        if policy.recorded is not None and policy.config.method.has_anchors:
             motions = policy.model.motions
-            warn_of_other_motions(demonstrated_motions(policy.recorded)[0], motions.anchors, motions.spread)
+            warn_of_other_motions(demonstrated_motions(policy.recorded), motions.anchors, motions.spread)
         elif policy.recorded is not None and not policy._sees_from_tool and policy.config.has_pose_layout:
             # LeRobot reads them next, for the processors of a fine-tuned policy, without calling the policy.
             dataset_meta.stats = schema.fix_pose_statistics(dataset_meta.stats)
@@ -131,11 +131,11 @@ class DP3AdaptivePolicy(CloudPolicy):
             trained = self.recorded.column(inputs.IS_TRAINED, torch.arange(len(task)))
             self._task_weights = inputs.balanced_weights(task, trained.numpy())
 
-    def fit_anchors(self, motions: Tensor, openings: Tensor) -> None:
-        """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -] of hands with openings (M,)."""
+    def fit_anchors(self, motions: Tensor) -> None:
+        """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -]."""
         if self.config.augmentation_mirror:
-            motions, openings = torch.cat([motions, geometry.mirrored_motions(motions)]), openings.repeat(2)
-        self.model.motions.fit(motions, openings)
+            motions = torch.cat([motions, geometry.mirrored_motions(motions)])
+        self.model.motions.fit(motions)
         self.ema_model.motions.load_state_dict(self.model.motions.state_dict())
 
     # Training: batch -> window -> loss ------------------------------------------------------------------------------

@@ -27,8 +27,8 @@ from lerobot_policy_adamanip.common.contacts import ChoiceMemory, MotionCode, Pa
 from lerobot_policy_adamanip.common.encoders import PointNetEncoder
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import cluster_motions
-from lerobot_policy_adamanip.dp3_adaptive import rules
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import DP3AdaptiveConfig
+from lerobot_policy_adamanip.dp3_adaptive.no_repeat import allowed_probabilities, repeats_failure
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import INSTRUCTION, instruction_dim
 
 POINT_UNIT, DIRECTION_SCALE = 0.15, 0.03
@@ -43,8 +43,6 @@ MIN_TRANSLATION_M = 0.02
 """Least length of an approach that is refined."""
 MIN_ENDPOINT_SPREAD_M = 0.006
 """An anchor's approaches are refined if their end points have a larger standard deviation."""
-MIN_START_SHARE = 0.05
-"""Share of a motion's demonstrations that start in a state of the hand, above which it is drawn in that state."""
 TRUNCATION = 1.0
 """Angle a of the strongest noise, pi/2 for noise alone: residuals have a share cos a of signal and sin a of noise."""
 NOISES_PER_MOTION = 4
@@ -143,8 +141,6 @@ class TruncatedHead(ToolHead):
     of a network without a history.
     """
 
-    DRAWS = 4
-    """Maximum number of draws of an anchor, if the drawn ones cannot be used."""
     memory: ChoiceMemory | None
 
     def __init__(self, config: DP3AdaptiveConfig) -> None:
@@ -193,68 +189,49 @@ class TruncatedHead(ToolHead):
         return total, is_label[:, 0].to(total.dtype), {name: loss.detach().mean() for name, loss in losses.items()}
 
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
-        """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the first anchor, its
-        last seven are the noise of residuals.
-
-        With the rule ``redraw``, an anchor whose approach ends at nothing is masked and another one drawn, up to
-        `DRAWS` draws. If all draws fail, the first one counts.
+        """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the anchor, its last
+        seven are the noise of residuals.
         """
-        inference, motions, tool = self.config.inference, self.motions, self.tool(window)
+        inference, tool = self.config.inference, self.tool(window)
         features, logits, added = self(window)
         logits = logits.float()
         if added is not None and inference.memory:
             logits = logits + added.float()
-        noises, start = self._noises(len(tool), noise, logits)
+        choice, start = self._noises(len(tool), noise, logits)
         residuals = self.denoiser.sample(features, start, self.config.num_inference_steps)
-        drawn = motions.anchors + residuals * motions.spread
-        past = self.past(window) if self.memory is not None else None
-        limits = rules.limit_motions(inference, drawn, motions.shown_from(tool), past)
-        logits = logits - rules.UNDO_PENALTY * limits.undoing
-        return rules.back_off(inference, past, self._choose(window, logits, drawn, limits, noises)[:, None])
+        drawn = self.motions.anchors + residuals * self.motions.spread
+        probabilities = (logits / inference.temperature).softmax(dim=-1)
+        if inference.no_repeat:
+            opens = self.motions.anchors[:, -1] >= CLOSED_HAND
+            probabilities = allowed_probabilities(probabilities, *repeats_failure(self.past(window), drawn), opens)
+        index = draw_anchor(probabilities, choice)
+        motion = drawn[torch.arange(len(tool), device=tool.device), index]
+        pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
+        return self._refined(window, index, pose)[:, None]
 
-    def _choose(self, window: Window, logits: Tensor, drawn: Tensor, limits: rules.Limits, noises: Tensor) -> Tensor:
-        """Returns the refined pose (B, 10) of one of the motions (B, K, 7), by uniform noises (B, draws)."""
-        tool, rejected = self.tool(window), limits.rejected
-        opens = self.motions.anchors[:, -1] >= CLOSED_HAND
-        rows = torch.arange(len(tool), device=tool.device)
-        probabilities = (logits / self.config.inference.temperature).softmax(dim=-1)
-        chosen, done = None, torch.zeros_like(rejected[:, 0])
-        for draw_noise in noises.unbind(dim=1):
-            allowed = rules.allowed_probabilities(probabilities, rejected, limits.useless, opens)
-            index = rules.draw_anchor(self.config.inference, allowed, draw_noise)
-            motion = drawn[rows, index]
-            pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
-            pose, usable = self._refine(window, index, pose)
-            chosen = pose if chosen is None else torch.where((usable & ~done)[:, None], pose, chosen)
-            done = done | usable
-            if bool(done.all()):
-                break
-            # In rows that have a usable action, nothing more is masked.
-            rejected = rejected.index_put((rows, index), ~done | rejected[rows, index])
-        assert chosen is not None
-        return chosen
-
-    def _refine(self, window: Window, index: Tensor, pose: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10), refined where anchors (B,) need it, and whether they can be used (B,).
-
-        An approach cannot be used if there is nothing to hold at its end.
-        """
-        needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
+    def _refined(self, window: Window, index: Tensor, pose: Tensor) -> Tensor:
+        """Returns poses (B, 10), refined where anchors (B,) need it."""
         if self.refiner is None:
-            return pose, torch.ones_like(needed)
-        refined, usable = self.refiner.refine_where(needed, cloud, pose, self.instruction(window))
-        refined = rules.swap_fingers(self.config.inference, refined, pose, self.tool(window))
-        return torch.where(needed[:, None], refined, pose), usable
+            return pose
+        needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
+        return self.refiner.refine_where(needed, cloud, pose, self.instruction(window))
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns uniform numbers (B, draws) that select anchors, and Gaussian noise (B, 1, 7), from ``noise``."""
-        draws, dim = self.DRAWS if self.config.inference.uses("redraw") else 1, geometry.MOTION_DIM
-        drawn = torch.rand(count, draws + dim, device=like.device)
+        """Returns uniform numbers (B,) that select anchors, and Gaussian noise (B, 1, 7), from ``noise``."""
+        drawn = torch.rand(count, 1 + geometry.MOTION_DIM, device=like.device)
         if noise is not None:
             given = noise.reshape(count, -1)
-            drawn[:, 0], drawn[:, draws:] = given[:, 0], given[:, -dim:]
-        uniform = drawn[:, draws:].clamp(1e-6, 1 - 1e-6)  # finite as a normal deviate
-        return drawn[:, :draws], torch.special.ndtri(uniform)[:, None]
+            drawn[:, 0], drawn[:, 1:] = given[:, 0], given[:, -geometry.MOTION_DIM :]
+        uniform = drawn[:, 1:].clamp(1e-6, 1 - 1e-6)  # finite as a normal deviate
+        return drawn[:, 0], torch.special.ndtri(uniform)[:, None]
+
+
+def draw_anchor(probabilities: Tensor, noise: Tensor) -> Tensor:
+    """Draws indices (B,) from probabilities (B, K) by uniform noise (B,)."""
+    cumulative = probabilities.cumsum(dim=-1)
+    draw = noise[:, None].to(cumulative.dtype) * cumulative[:, -1:]
+    index = torch.searchsorted(cumulative, draw, right=True).squeeze(-1)
+    return index.clamp(max=probabilities.shape[-1] - 1)
 
 
 class TypicalMotions(nn.Module):
@@ -263,28 +240,21 @@ class TypicalMotions(nn.Module):
     Attributes:
         anchors: (K, 7) motions in the tool's frame [m, rad, -].
         spread: (K, 7) standard deviations; zero before `fit`.
-        starts: (K, 3) bool, whether demonstrations start the motion with a hand in each `rules.hand_state`.
     """
 
     anchors: Tensor
     spread: Tensor
-    starts: Tensor
 
     def __init__(self, count: int) -> None:
         super().__init__()
         self.register_buffer("anchors", torch.zeros(count, geometry.MOTION_DIM))
         self.register_buffer("spread", torch.zeros(count, geometry.MOTION_DIM))
-        self.register_buffer("starts", torch.ones(count, 3, dtype=torch.bool))
 
-    def fit(self, motions: Tensor, openings: Tensor) -> None:
-        """Fits the anchors to demonstrated motions (M, 7), of hands with measured openings (M,) at their start."""
+    def fit(self, motions: Tensor) -> None:
+        """Fits the anchors to demonstrated motions (M, 7)."""
         anchors, spread = cluster_motions(motions.numpy(), len(self.anchors))
         self.anchors.copy_(anchors)
         self.spread.copy_(spread)
-        states = F.one_hot(rules.hand_state(openings), 3).float()
-        shown = F.one_hot(self.nearest(motions), len(anchors)).float().T @ states
-        self.starts.copy_(shown > MIN_START_SHARE * shown.sum(dim=1, keepdim=True))
-        self.starts[:, 0] |= anchors[:, -1] >= CLOSED_HAND  # an empty hand may also open
 
     def nearest(self, motion: Tensor) -> Tensor:
         """Returns the index (...) of the nearest anchor of each motion (..., 7)."""
@@ -299,10 +269,6 @@ class TypicalMotions(nn.Module):
         approaches = (self.anchors[:, -1] > CLOSED_HAND) & (self.anchors[:, :3].norm(dim=-1) > MIN_TRANSLATION_M)
         varying: Tensor = approaches & (self.spread[:, :3].amax(dim=-1) > MIN_ENDPOINT_SPREAD_M)
         return varying[index]
-
-    def shown_from(self, tool: Tensor) -> Tensor:
-        """Returns (B, K) whether demonstrations start the anchors with a hand in the state of tools (B, 10)."""
-        return self.starts.T[rules.hand_state(tool[:, GRIPPER_DIM])]
 
 
 class Denoiser(nn.Module):
@@ -380,7 +346,7 @@ class Refiner(nn.Module):
     def forward(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
         """Returns corrections (B, 7) of poses (B, 10) in clouds (B, N, 3) [m], and logits (B,) of something to hold.
 
-        Corrections are in `CORRECTION_UNITS`.
+        Corrections are in `CORRECTION_UNITS`. Only training uses the logits.
         """
         points = geometry.points_seen(cloud, pose)
         distance = (points - geometry.constant(CENTRE, points)).norm(dim=-1)
@@ -398,15 +364,13 @@ class Refiner(nn.Module):
         loss = self.loss(cloud[rows], goal[rows], instruction[rows]) * needed[rows]
         return torch.zeros_like(goal[:, 0]).index_add(0, rows, loss.to(goal.dtype))
 
-    def refine_where(self, needed: Tensor, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10), refined where ``needed`` (B,), and whether they can be used (B,)."""
-        usable = torch.ones_like(needed)
+    def refine_where(self, needed: Tensor, cloud: Tensor, pose: Tensor, instruction: Tensor) -> Tensor:
+        """Returns poses (B, 10), refined where ``needed`` (B,)."""
         if surely_none(needed):
-            return pose, usable
+            return pose
         rows = _rows_to_compute(needed)
-        refined, held = self.refined(cloud[rows], pose[rows], instruction[rows])
-        pose = torch.where(needed[:, None], pose.index_copy(0, rows, refined), pose)
-        return pose, usable.index_copy(0, rows, held) | ~needed
+        refined = self.refined(cloud[rows], pose[rows], instruction[rows])
+        return torch.where(needed[:, None], pose.index_copy(0, rows, refined), pose)
 
     def loss(self, cloud: Tensor, goal: Tensor, instruction: Tensor) -> Tensor:
         """Returns the error (B,) of corrections and logits, from proposals around the demonstrated goals (B, 10)."""
@@ -424,20 +388,16 @@ class Refiner(nn.Module):
         wrong = far * held[len(near) :] / 2
         return error.reshape(-1, PROPOSALS_PER_GOAL).mean(dim=1) + wrong
 
-    def refined(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> tuple[Tensor, Tensor]:
-        """Returns poses (B, 10) after ``steps`` corrections, and whether there is something to hold (B,).
-
-        There is nothing to hold if the total shift exceeds `REACH_M`; the shift is then cut there. The gripper stays.
-        """
-        start, logit = pose, torch.zeros_like(pose[:, 0])
+    def refined(self, cloud: Tensor, pose: Tensor, instruction: Tensor) -> Tensor:
+        """Returns poses (B, 10) after ``steps`` corrections; their total shift ends at `REACH_M`. The gripper stays."""
+        start = pose
         for _ in range(self.steps):
-            correction, logit = self(cloud, pose, instruction)
+            correction, _ = self(cloud, pose, instruction)
             pose = geometry.corrected_grasp(pose, correction * geometry.constant(CORRECTION_UNITS, pose))
         shift = pose[:, POSITION_DIMS] - start[:, POSITION_DIMS]
         length = shift.norm(dim=-1, keepdim=True)
         kept = start[:, POSITION_DIMS] + shift * (REACH_M / length.clamp(min=REACH_M))
-        pose = torch.cat([kept, pose[:, POSITION_DIMS.stop :]], dim=-1)
-        return pose, (logit >= 0) & (length.squeeze(-1) < REACH_M)
+        return torch.cat([kept, pose[:, POSITION_DIMS.stop :]], dim=-1)
 
 
 def _rows_to_compute(needed: Tensor) -> Tensor:

@@ -90,7 +90,7 @@ def test_what_can_go_either_way_is_drawn_either_way_and_never_between(make_ancho
     frame = matrix_from_rotation_6d(state[0, 3:9].numpy())
     motions = np.concatenate([rows, rows])
     motions[0, :3], motions[1, :3] = 0.03 * frame[2], -0.03 * frame[2]
-    policy.fit_anchors(torch.from_numpy(np.repeat(motions, 10, axis=0)), state[:20, 9])
+    policy.fit_anchors(torch.from_numpy(np.repeat(motions, 10, axis=0)))
     optimizer = torch.optim.AdamW(policy.get_optim_params(), lr=3e-3)
     for _ in range(60):
         optimizer.zero_grad()
@@ -124,7 +124,7 @@ def lifting(policy: Any, window: Window) -> tuple[Window, torch.Tensor]:
     for row in range(1, 3):
         history[row, -row:] = goals[:row]
     valid = torch.arange(steps) >= steps - torch.arange(3)[:, None]
-    policy.fit_anchors(motion_between(goals, state[0, :, :10]), torch.full((3,), 0.2))
+    policy.fit_anchors(motion_between(goals, state[0, :, :10]))
     return Window({**window.observations, schema.STATE: state.expand(3, steps + 1, -1)}, history, valid), goals
 
 
@@ -312,7 +312,7 @@ LEFT, RIGHT = (torch.tensor([0.0, side, 0.1, 0.0, 0.0, 0.0, 1.0]) for side in (-
 def drawing(policy: Any, window: Window, *motions: torch.Tensor) -> list[torch.Tensor]:
     """Makes a policy draw these motions one after another from an open hand; returns what it acts on, by anchor."""
     tool = window.observations[schema.STATE][:, -1, :10]
-    policy.fit_anchors(torch.stack([LEFT, RIGHT]).repeat(20, 1), torch.ones(40))
+    policy.fit_anchors(torch.stack([LEFT, RIGHT]).repeat(20, 1))
     policy.model.motions.spread[:, :3] = 0.02
     goals = [pose_after(motion.expand(len(tool), 7), tool) for motion in motions]
     first = policy.model.motions.nearest(motions[0])
@@ -320,50 +320,3 @@ def drawing(policy: Any, window: Window, *motions: torch.Tensor) -> list[torch.T
     policy.model.forward = lambda _: (torch.zeros(len(tool), 1), logits, None)
     policy.model.denoiser.forward = lambda *noisy: torch.zeros(len(tool), 2, 7)
     return goals
-
-
-Case = tuple[list[bool], bool, int]
-CASES: list[Case] = [
-    ([True, True], True, 0),
-    ([False, True], True, 1),
-    ([False, True], False, 0),
-    ([False, False], True, 0),
-]
-"""Whether there is something to hold at the end of each approach, redraw, which approach is acted on."""
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_an_approach_without_anything_to_hold_is_drawn_again(
-    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch, case: Case
-) -> None:
-    """If all draws lead to nothing, the first one is executed. The executed pose is always a refined one."""
-    held, redraw, wanted = case
-    policy, before, _, dataset = make_anchors(
-        num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=redraw, temperature=1.0)
-    )
-    window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
-    window.observations[schema.STATE][..., 9] = 1.0
-    goals = drawing(policy, window, LEFT, RIGHT)
-
-    def refined(_: Any, cloud: torch.Tensor, pose: torch.Tensor, *_given: Any) -> tuple[torch.Tensor, ...]:
-        is_left = motion_between(pose, window.observations[schema.STATE][:, -1, :10])[:, 1] < 0
-        return pose + 0.001 * torch.eye(10)[0], torch.where(is_left, *map(torch.tensor, held))
-
-    monkeypatch.setattr(Refiner, "refined", refined)
-    found = policy.model.sample(window, torch.zeros(2, 1))[:, 0]
-    torch.testing.assert_close(found, goals[wanted] + 0.001 * torch.eye(10)[0], rtol=0, atol=1e-5)
-
-
-def test_episodes_of_a_batch_are_redrawn_each_for_itself(
-    make_anchors: MakeTiny, batch_of: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    policy, before, _, dataset = make_anchors(
-        num_anchors=2, n_action_history_steps=0, inference=Inference(redraw=True, temperature=1.0)
-    )
-    window, *_ = policy.eval().training_window(batch_of(dataset, before, 0, 3))
-    window.observations[schema.STATE][..., 9] = 1.0
-    left, right = drawing(policy, window, LEFT, RIGHT)
-    answers = iter([torch.tensor([True, False]), torch.tensor([False, True])])
-    monkeypatch.setattr(Refiner, "refined", lambda _, cloud, pose, *more: (pose, next(answers)))
-    found = policy.model.sample(window, torch.zeros(2, 1))[:, 0]
-    torch.testing.assert_close(found, torch.stack([left[0], right[1]]), rtol=0, atol=1e-5)
