@@ -13,7 +13,7 @@ import sys
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.command import find_program
-from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, read_entry
+from lerobot_adamanip.benchmark.leaderboard import DECLARATION, SCALES, SEED, read_entry
 from lerobot_adamanip.benchmark.report import opened, within
 from lerobot_adamanip.evaluation.results import ResultFile, read_result
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
@@ -47,7 +47,8 @@ def main() -> int:
             name = next(iter(cells)).method
             command = [program, "benchmark", "--config", str(options.entry / DECLARATION), "--scale", scale]
             # Status 1: a cell failed. The others can be compared.
-            subprocess.run([*command, "--methods", name, "--out", str(options.out)], check=False, stdout=sys.stderr)
+            command += ["--methods", name, "--seeds", str(SEED), "--out", str(options.out)]
+            subprocess.run(command, check=False, stdout=sys.stderr)
         for cell, published in cells.items():
             line = {"scale": scale, "cell": cell.name, "published": _text(published)}
             if options.evaluate:

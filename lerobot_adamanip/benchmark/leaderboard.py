@@ -39,7 +39,9 @@ from lerobot_adamanip.util.errors import DatasetError
 
 TRACKS = PAPER_TABLE.with_name("tracks.toml")
 SCALES = ("row", "changing", "real_sensors")
-"""Scales of `TRACKS` that an entry has all cells of."""
+"""Scales of `TRACKS` that an entry has all cells of, of one seed."""
+SEED = 1000
+"""Seed of the trainings of an entry."""
 COLUMNS = {
     ("row", "unseen"): "locks in a row",
     ("changing", "unseen"): "a lock that changes",
@@ -60,7 +62,7 @@ In a checkout without changes:
 
 ```bash
 for scale in {" ".join(SCALES)}; do
-    adamanip benchmark --config results/leaderboard/NAME/{DECLARATION} --scale $scale --methods mine
+    adamanip benchmark --config results/leaderboard/NAME/{DECLARATION} --scale $scale --methods mine --seeds {SEED}
     mkdir -p results/leaderboard/NAME/$scale
     cp outputs/benchmark/$scale/cells/mine-*.json results/leaderboard/NAME/$scale
 done
@@ -149,7 +151,7 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
         if declaration.scales.get(scale) != tracks.scales[scale]:
             yield f"scale {scale} is not that of {TRACKS.name}"
             continue
-        wanted = {cell for cell in all_cells(declaration, scale) if cell.method == name}
+        wanted = {cell for cell in all_cells(declaration, scale) if (cell.method, cell.seed) == (name, SEED)}
         if not wanted:
             yield f"{scale}: no cell is declared for {name}"
         found = {cell_of(one): one for one in results[scale] if one.run}

@@ -14,7 +14,15 @@ import pytest
 from benchmark_helpers import FakeRunner, benchmark, run_all
 
 from lerobot_adamanip.benchmark.declaration import read_declaration
-from lerobot_adamanip.benchmark.leaderboard import COLUMNS, DECLARATION, SCALES, TRACKS, leaderboard_page, read_entry
+from lerobot_adamanip.benchmark.leaderboard import (
+    COLUMNS,
+    DECLARATION,
+    SCALES,
+    SEED,
+    TRACKS,
+    leaderboard_page,
+    read_entry,
+)
 from lerobot_adamanip.benchmark.plan import KeyVersions, all_cells, evaluation_options, named_steps, options_key, plan
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import Metrics
@@ -49,7 +57,7 @@ def _enter(tmp_path: Path, example: ResultFile) -> MakeEntry:
         for scale in SCALES:
             (folder / scale).mkdir()
             for cell in all_cells(tracks, scale):
-                if cell.method == method:
+                if (cell.method, cell.seed) == (method, SEED):
                     assert example.run is not None
                     key, simulation = options_key(cell, tracks, scale), changes.get("simulation_version")
                     whole = plan(cell, tracks, scale, KeyVersions(simulation or SIMULATION_VERSION))
