@@ -58,7 +58,7 @@ METHODS = {
 }
 """``keyframe``: the paper's method with this project's truncated diffusion, tool frame, memory of contact events and
 refinement. ``dense``: the paper's diffusion at control rate, in longer chunks, in the tool's frame. Its memory merges
-steps into strokes, and it has neither refinement nor rules.
+steps into strokes, and it has no refinement.
 
 ``dp3``: 3D Diffusion Policy (Ze et al. 2024) with the values of its release, without an action history.
 ``--policy.down_dims='[128,256,384]'`` gives the widths of the release's Simple DP3, which a CPU can train; LeRobot's
