@@ -5,6 +5,7 @@ A cloud shows a plate for each part, as long as the fingers are wide, in front o
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.keyframes import Goal, Phase
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
+from lerobot_adamanip.datasets.writing import add_episode_columns
 
 REPO_ID = "local/toy"
 NUM_POINTS = 160
@@ -122,6 +124,8 @@ def record_toy(root: Path, worlds: Sequence[KinematicWorld], expert: str) -> Pat
             dataset.add_frame(row)
         dataset.save_episode()
     dataset.finalize()
+    hidden = [json.dumps(world.hidden) for world in worlds]
+    add_episode_columns(root, {"object_id": [world.obj.object_id for world in worlds], "hidden_state": hidden})
     return root
 
 

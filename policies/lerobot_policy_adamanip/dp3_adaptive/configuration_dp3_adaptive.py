@@ -111,8 +111,8 @@ HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps"
 
 FREE = {
     "inference", "n_action_steps", "memory_episodes", "num_refinements", "noise_scheduler_type",
-    "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror", "optimizer_lr",
-    "scheduler_warmup_steps",
+    "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror",
+    "augmentation_earlier_episodes", "optimizer_lr", "scheduler_warmup_steps",
 }  # fmt: skip
 """Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
 
@@ -181,6 +181,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # True).
     use_feedback: bool = from_preset()
     # Run time only: episodes in a row that share the history of actions, as --env.repeats=K plays one scene K times.
+    # Train with augmentation_earlier_episodes.
     memory_episodes: int = 1
     # Size of the memory (keyframe 64, dense 64).
     memory_dim: int = from_preset()
@@ -209,6 +210,9 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     # Training only, its held-out loss included: share of scenes mirrored left to right; joint positions and torques do
     # not change. Not for objects that always turn the same way, such as lids and portafilters. Needs poses.
     augmentation_mirror: float = 0.0
+    # Training only: share of rows that also remember the end of another episode with the same hidden values, for
+    # memory_episodes. Needs simulated key frames, and the preset keyframe.
+    augmentation_earlier_episodes: float = 0.0
     # Learning rate of AdamW (keyframe 0.001, dense 0.001, dp3 0.0001, paper 0.0001).
     optimizer_lr: float = from_preset()
     # Warm-up steps to the full learning rate (keyframe 100, dense 100, dp3 500, paper 500).
@@ -302,14 +306,19 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 "0 for all, or 1 or more",
                 "--policy.inference.latest_events=1",
             )
-        if not 0.0 <= self.augmentation_mirror <= 1.0:
-            raise self._error("Not a share.", ["augmentation_mirror"], "0 to 1", "--policy.augmentation_mirror=0.5")
+        for name in ("augmentation_mirror", "augmentation_earlier_episodes"):
+            if not 0.0 <= getattr(self, name) <= 1.0:
+                raise self._error("Not a share.", [name], "0 to 1", f"--policy.{name}=0.5")
 
     def _check_history(self) -> None:
         remembers = self.method.frame == "tool" and self.n_action_history_steps > 0
         if self.memory_episodes < 1 or (self.memory_episodes > 1 and not remembers):
             allowed = "1 or more; 1 without a history of actions, and with presets dp3 and paper"
             raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
+        has_events = self.method.has_anchors and self.n_action_history_steps > 0
+        if self.augmentation_earlier_episodes and not has_events:
+            allowed = "0 without a history of actions, and with other presets than keyframe"
+            raise self._error("No memory over episodes is trained.", ["augmentation_earlier_episodes"], allowed, "0")
         if self.inference.no_repeat and not self.n_action_history_steps:
             raise self._error(
                 "inference.no_repeat reads the history of actions, which this policy does not have.",

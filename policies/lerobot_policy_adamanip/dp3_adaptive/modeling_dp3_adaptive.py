@@ -21,6 +21,7 @@ from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs, strokes
+from lerobot_policy_adamanip.common.earlier_episodes import EarlierEpisodes
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
 from lerobot_policy_adamanip.common.policy import ChunkGuard, CloudPolicy
@@ -107,6 +108,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         """Reads the dataset columns for training."""
         self._task_weights: Tensor | None = None
         self.recorded: inputs.RecordedRows | None = None
+        self._earlier: EarlierEpisodes | None = None
         self._batch_is_checked = False
         if dataset_meta is None:
             return
@@ -121,6 +123,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         self.match_clouds(dataset_meta, is_trained=is_trained)
         self.match_control(dataset_meta, is_trained=is_trained)
         self.recorded, config = inputs.read_recorded_rows(dataset_meta, has_strokes=self._has_strokes), self.config
+        if config.augmentation_earlier_episodes:
+            self._earlier = EarlierEpisodes(dataset_meta, config.augmentation_earlier_episodes)
         stats = dataset_meta.stats
         if config.has_pose_layout and stats:
             stats = schema.fix_pose_statistics(stats)
@@ -178,13 +182,9 @@ class DP3AdaptivePolicy(CloudPolicy):
         if observations[schema.STATE].dim() == 2:
             observations = {key: value[:, None] for key, value in observations.items()}
         rows = recorded.rows(batch[inputs.INDEX])
-        if self._has_strokes:
-            starts, before, valid = recorded.strokes(rows, steps)
-        else:
-            before, valid = recorded.around(rows, range(-steps, 0))
-            starts = before
+        executed, starts, valid, is_known = self._recorded_history(recorded, rows)
         ahead, exists = recorded.around(rows, range(self.config.horizon))
-        actions = torch.cat([recorded.column(schema.EXECUTED, before), recorded.column(schema.ACTION, ahead)], dim=1)
+        actions = torch.cat([executed, recorded.column(schema.ACTION, ahead)], dim=1)
         actions = self._prepared(batch, schema.ACTION, actions)
         if not self._batch_is_checked:
             share = batch[MIRRORING].share if MIRRORING in batch else 0.0
@@ -195,7 +195,24 @@ class DP3AdaptivePolicy(CloudPolicy):
             observations[schema.STATE] = torch.cat([states, observations[schema.STATE]], dim=1)
         departs = recorded.column(inputs.DEPARTS, ahead).int()
         is_label = exists & recorded.column(inputs.IS_LABEL, ahead) & (departs.cumsum(dim=1) == departs)
-        return Window(observations, actions[:, :steps], valid), actions[:, steps:], is_label
+        return Window(observations, actions[:, :steps], valid), actions[:, steps:], is_label & is_known[:, None]
+
+    def _recorded_history(self, recorded: inputs.RecordedRows, rows: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Returns the history of rows (B,): executed actions (B, H, A), positions (B, H) of the poses before them, and
+        validity (B, H). Last, whether the rows' actions are labels for whoever has this history (B,).
+        """
+        steps = self.config.n_action_history_steps
+        if self._has_strokes:
+            starts, before, valid = recorded.strokes(rows, steps)
+        else:
+            before, valid = recorded.around(rows, range(-steps, 0))
+            starts = before
+        if self._earlier is None or not self.training:
+            return recorded.column(schema.EXECUTED, before), starts, valid, torch.ones_like(rows, dtype=torch.bool)
+        before, valid, is_last, is_known = self._earlier.continued(rows, before, valid)
+        executed = recorded.column(schema.EXECUTED, before)
+        executed[..., schema.GRIPPER_DIM].masked_fill_(is_last, 1.0)  # as `reset` at run time
+        return executed, before, valid, is_known
 
     def _prepared(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
         """Mirrors and normalises recorded actions or states (B, T, D) like the batch."""

@@ -1,0 +1,98 @@
+"""Training of a memory that is kept over episodes: histories that begin in another episode.
+
+At run time ``memory_episodes`` keeps the history while one scene is played again. No demonstration shows that. So in
+training some histories are continued into the past, by the end of another episode with the same hidden values, ranges
+aside. What is demonstrated until the last failed try is then no label: whoever remembers does not try it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from lerobot_adamanip.contract.schema import FAILED
+from lerobot_adamanip.util.arrow import episode_bounds
+from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, is_trained, read_columns
+
+
+class EarlierEpisodes:
+    """Episodes with the same hidden values, among those that are trained on.
+
+    Args:
+        dataset_meta: metadata of key frames, with their files.
+        share: share of the histories that are continued, 0 to 1.
+
+    Raises:
+        ConfigurationError: the data lack hidden values, or the outcomes of tries.
+    """
+
+    def __init__(self, dataset_meta: Any, share: float) -> None:
+        self.share = share
+        columns = read_columns(dataset_meta, (INDEX, EPISODE, FAILED))
+        episode, failed = (columns[key].reshape(-1) for key in (EPISODE, FAILED))
+        first, last = episode_bounds(episode)
+        failures = np.cumsum(failed > 0)
+        starts = np.flatnonzero(is_trained(dataset_meta, episode) & (first == np.arange(len(first))))
+        names = np.array([_hidden_values(dataset_meta.episodes[int(episode[row])]) for row in starts])
+        starts = starts[np.argsort(names, kind="stable")]
+        _, begin, count = np.unique(np.sort(names), return_index=True, return_counts=True)
+        places = np.zeros((len(first), 3), np.int64)
+        for offset, size in zip(begin, count, strict=True):
+            for rank, row in enumerate(starts[offset : offset + size]):
+                places[row : last[row] + 1] = offset, size, rank
+        arrays = {
+            "first": first, "last": last, "places": places, "starts": starts,
+            "fails": failures[last] - failures + (failed > 0) > 0,
+        }  # fmt: skip
+        self._tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
+
+    def continued(self, present: Tensor, rows: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Continues histories of present rows (B,) in a random other episode with the same hidden values.
+
+        A full history stays as it is, and one without such an episode.
+
+        Args:
+            present: positions (B,) of rows.
+            rows: positions (B, H) before them, oldest first.
+            valid: whether these are of the same episode (B, H).
+
+        Returns:
+            ``rows`` and ``valid`` of the longer history; whether a row is the last command of the other episode (B, H);
+            whether the present row's action is a label for whoever has this history (B,).
+        """
+        of = {name: values.to(present.device) for name, values in self._tensors.items()}
+        offset, size, rank = of["places"][present].unbind(dim=-1)
+        share, which = torch.rand(2, len(present), device=present.device)
+        chosen = (share < self.share) & (size > 1) & ~valid.all(dim=1)
+        others = (size - 1).clamp(min=1)
+        place = offset + (rank + 1 + (which * others).long()) % size.clamp(min=1)
+        other = of["starts"][place.clamp(max=len(of["starts"]) - 1)]
+        missing = (~valid).sum(dim=1, keepdim=True)
+        # The last row of an episode is its final observation; its command was not sent.
+        earlier = of["last"][other, None] - missing + torch.arange(valid.shape[1], device=present.device)
+        taken = chosen[:, None] & ~valid & (earlier >= other[:, None])
+        is_last = taken & (earlier == of["last"][other, None] - 1)
+        is_label = ~(chosen & of["fails"][present])
+        return torch.where(taken, earlier, rows), valid | taken, is_last, is_label
+
+
+def _hidden_values(episode: Mapping[str, Any]) -> str:
+    """Returns the category and hidden values of an episode's metadata as a text, without ranges."""
+    try:
+        hidden = json.loads(episode["hidden_state"])
+        values = {name: value for name, value in hidden.items() if not isinstance(value, float)}
+        category, _, _ = episode["object_id"].rpartition("_")
+        return json.dumps([category, values], sort_keys=True)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise ConfigurationError(
+            "The demonstrations do not say what was hidden in an episode.",
+            got=f"no hidden_state in an episode's metadata ({error})",
+            allowed="simulated demonstrations",
+            hint="--policy.augmentation_earlier_episodes=0",
+        ) from error
