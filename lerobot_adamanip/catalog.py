@@ -136,12 +136,21 @@ def select_objects(
     assets: str | os.PathLike[str] | None = None,
     placement_problem: PlacementCheck | None = None,
 ) -> tuple[str, ...]:
-    """Returns the ids of generated objects, or of external assets in the folder ``assets``; see `AssetSource`."""
-    if assets is None:
-        return parse_object_selection(category, selection)
-    from lerobot_adamanip.assets import AssetSource
+    """Returns the ids of generated objects, or of external assets in the folder ``assets``; see `AssetSource`.
 
-    return AssetSource(Path(assets), placement_problem).select(category, selection)
+    Raises:
+        ConfigurationError: the selection is wrong, or has an object twice.
+    """
+    if assets is None:
+        chosen = parse_object_selection(category, selection)
+    else:
+        from lerobot_adamanip.assets import AssetSource
+
+        chosen = AssetSource(Path(assets), placement_problem).select(category, selection)
+    if len(set(chosen)) < len(chosen):
+        once = ",".join(dict.fromkeys(chosen))
+        raise ConfigurationError("An object is selected twice.", got=repr(selection), allowed="each once", hint=once)
+    return chosen
 
 
 def get_object(identifier: str, assets: str | os.PathLike[str] | None = None) -> ArticulatedObject:

@@ -54,6 +54,8 @@ def test_equal_values_of_other_types_become_the_annotated_ones() -> None:
     options = GIVEN.changed(num_points=np.int64(32), hints=1, cameras=["front"], logged_seeds=[5, np.int32(6)])
     assert (options.num_points, options.hints, options.cameras, options.logged_seeds) == (32, 1.0, ("front",), (5, 6))
     assert json.loads(json.dumps(options.to_json()))["num_points"] == 32
+    plain = EnvironmentOptions(hidden_overrides={"locked": np.True_, "direction": np.int64(-1)}).to_json()
+    assert json.loads(json.dumps(plain))["hidden_overrides"] == {"locked": True, "direction": -1}
     assert options.changed(assets=None, episode_log=Path("log.jsonl")).episode_log == "log.jsonl"
 
 
@@ -92,6 +94,7 @@ def test_json_holds_every_option() -> None:
         ({"sensing": "d453"}, "--env.sensing=d435"),
         ({"sensing": "d435", "cloud_source": "render"}, "cloud_source raycast"),
         ({"workspace": Workspace((0.5, 0.0, 0.0), (0.5, 1.0, 1.0))}, "workspace"),
+        ({"workspace": Workspace(upper=(0.8, 0.4, float("inf")))}, "within 10 m"),  # no manifest holds it
         # Without effect.
         ({"action": "joint"}, "--env.control=dense"),
         ({"fps": 25}, "--env.control=dense"),
@@ -107,6 +110,17 @@ def test_json_holds_every_option() -> None:
         ({"repeats": True}, "True (bool)"),
         ({"hints": "0.5"}, "'0.5' (str)"),
         ({"cameras": "front"}, "'front' (str)"),
+        ({"cameras": []}, "--env.observe_images=false"),  # none is not all
+        ({"objects": "safe_000,safe_001,safe_000"}, "each once"),
+        ({"episode_log": ""}, "without a path"),
+        ({"assets": "x" * 5000}, "does not exist"),
+        ({"max_failed_tries": "9" * 5000}, "0 ... 1000"),
+        ({"hints": 10**400}, "float"),
+        ({"workspace": {1: 2}}, "lower, upper"),
+        ({"hidden_overrides": {1: 2}}, "locked, direction, knob_range"),
+        ({"hidden_overrides": {("locked",): True, "mode": 1}}, "('locked',), mode"),
+        ({"hidden_overrides": {"locked": np.array([True, False])}}, "array([ True, False])"),
+        ({"hidden_overrides": {"knob_range": float("nan")}}, "above 0"),
         ({"hidden_overrides": "locked"}, "Mapping[str, Any]"),
         ({"logged_seeds": (5,)}, "tuple[int, int] | None"),
         ({"logged_seeds": (5, 6, 2)}, "tuple[int, int] | None"),

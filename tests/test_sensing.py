@@ -57,6 +57,7 @@ def test_each_level_is_worse_than_the_one_before() -> None:
         ("d435,lost=nan", "lost from 0 to 0.9"),
         ("d435,lost=-0.1", "lost from 0 to 0.9"),
         ("d435,lost=1", "lost from 0 to 0.9"),
+        ("d435,lost=\u0660", "lost from 0 to 0.9"),  # a zero for Python, but not in a log
     ],
 )
 def test_what_is_no_sensing_is_one_clear_error(wrong: str, said: str) -> None:

@@ -15,6 +15,7 @@ from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, FINGER_TRA
 from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
 from lerobot_adamanip.contract.memory import EVENTS, MAX_MOTION, MEMORY_NAMES
 from lerobot_adamanip.contract.schema import NUM_JOINTS
+from lerobot_adamanip.contract.seeds import MAX_SEED
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 
@@ -75,8 +76,13 @@ def observation_space(options: EnvironmentOptions) -> gym.spaces.Dict:
     return gym.spaces.Dict(spaces)
 
 
-def reset_options(environment: EnvironmentOptions, options: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a reset's options for the simulator; raises `ConfigurationError` for a wrong name, object or type."""
+def reset_options(environment: EnvironmentOptions, seed: int | None, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a reset's options for the simulator; raises `ConfigurationError` for a wrong name, object, type or seed.
+
+    Gymnasium refuses negative seeds, and those of another type.
+    """
+    if isinstance(seed, int) and seed > MAX_SEED:
+        raise ConfigurationError("Seed too large.", got=seed, allowed=f"0 ... {MAX_SEED}", hint="env.reset(seed=1000)")
     for name in options:
         require_choice("option of a reset", name, RESET_OPTIONS)
     chosen = {name: value for name, value in options.items() if name != NEW_ROLLOUT}

@@ -273,9 +273,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
             UnreachableError: the arm cannot reach the part in any of the scenes.
         """
         self._episode = self._image = None  # after a failed reset there is no episode
-        chosen = reset_options(self.options, options or {})
+        chosen = reset_options(self.options, seed, options or {})
         super().reset(seed=seed)
-        given_seed = seed if seed is not None else int(self.np_random.integers(2**31))
+        given_seed = int(self.np_random.integers(2**31) if seed is None else seed)
         if self._task is None:
             # Three quarters of the time of ManiSkill's default shader, without a GPU.
             self._task = make_task(self.category, options=self.options, shader="minimal")

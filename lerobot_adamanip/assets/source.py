@@ -227,15 +227,20 @@ class AssetSource:
         return usable
 
 
-def _folders(directory: Path, category: str) -> list[AssetReport]:
-    """Returns the object folders in ``directory/<category>``, otherwise in ``directory``; checks only their names."""
-    if not directory.is_dir():
+def require_directory(directory: Path) -> None:
+    """Raises `ConfigurationError` if a folder of external assets does not exist."""
+    if not os.path.isdir(directory):  # `Path.is_dir` raises an error for a name that is too long
         raise ConfigurationError(
             "The folder of external assets does not exist.",
             got=str(directory),
             allowed="a directory of folders that hold a mobility.urdf",
             hint="--env.assets=DIR",
         )
+
+
+def _folders(directory: Path, category: str) -> list[AssetReport]:
+    """Returns the object folders in ``directory/<category>``, otherwise in ``directory``; checks only their names."""
+    require_directory(directory)
     inner = [directory / name for name in ROLES[category].folders if (directory / name).is_dir()]
     used: dict[str, Path] = {}
     candidates = []

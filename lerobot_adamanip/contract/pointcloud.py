@@ -40,6 +40,8 @@ class Workspace:
 
 
 DEFAULT_WORKSPACE = Workspace()
+FURTHEST_CORNER_M = 10.0
+"""Largest coordinate of a workspace's corners, in either direction [m]."""
 
 
 def check_num_points(num_points: int, smallest: int = MIN_POINTS) -> int:

@@ -16,6 +16,8 @@ from lerobot_adamanip.util.errors import require_choice
 
 SPLITS = {"test": (0, 10**6), "validation": (10**6, 2 * 10**6), "train": (2**24, 2**31)}
 """Split -> first seed, end. ``train``: demonstrations; ``validation``: model selection; ``test``: reported numbers."""
+MAX_SEED = 2**31 - 1
+"""Largest seed of a reset: logs, datasets and results hold no larger one."""
 
 CATEGORY_STRIDE = 100_000
 """Seed offset between the categories of a suite, whose scenes differ from those of a single category."""

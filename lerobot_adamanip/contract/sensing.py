@@ -142,7 +142,7 @@ def parse_sensing(text: str) -> Sensing:
             allowed = "PART=VALUE after the level, with PART one of the fields of Sensing"
             raise _error(text, allowed, near and f"{level},{near}={number or 0}")
         try:
-            values[name] = float(number)
+            values[name] = float(number) if number.isascii() else math.nan
         except ValueError:
             values[name] = math.nan
         if not 0.0 <= values[name] <= _LARGEST[name]:

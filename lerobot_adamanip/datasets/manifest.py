@@ -18,7 +18,7 @@ from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, DENSE, RATES, STATES
 from lerobot_adamanip.contract.memory import EVENTS, TEXT
-from lerobot_adamanip.contract.pointcloud import MAX_POINTS, MIN_POINTS, Workspace
+from lerobot_adamanip.contract.pointcloud import FURTHEST_CORNER_M, MAX_POINTS, MIN_POINTS, Workspace
 from lerobot_adamanip.contract.sensing import SENSING_TEXT
 from lerobot_adamanip.datasets.collection_spec import (
     LIMITS,
@@ -221,7 +221,7 @@ def _shown(value: object) -> str:
 
 
 _VERSIONS = mapping(_WORD, text(r"[^\x00-\x1f\x7f|`<>]{1,400}", "a version"), 64)
-_CORNER = listing(number(-10.0, 10.0), 3, 3)
+_CORNER = listing(number(-FURTHEST_CORNER_M, FURTHEST_CORNER_M), 3, 3)
 _ENVIRONMENT: Mapping[str, Check] = {
     "num_points": integer(MIN_POINTS, MAX_POINTS),
     "image_size": integer(*IMAGE_SIZES),

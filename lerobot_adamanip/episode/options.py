@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -12,7 +13,7 @@ from lerobot_adamanip.contract.cameras import CAMERAS, FRONT
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.control import ACTION_NAMES, CONTROLS, DENSE, EE_DELTA, KEYFRAME, POSE, RATES, STATES
 from lerobot_adamanip.contract.memory import NO_MEMORY, check_memory
-from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
+from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, FURTHEST_CORNER_M, Workspace, check_num_points
 from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, IMAGE_SIZE, MAX_KEY_FRAMES
 from lerobot_adamanip.contract.seeds import CHOOSE_SPLIT, SPLITS, BalancedDraws
 from lerobot_adamanip.contract.sensing import EXACT, parse_sensing
@@ -136,7 +137,6 @@ class EnvironmentOptions:
             if isinstance(value := getattr(self, name), Path):
                 object.__setattr__(self, name, str(value))
         require_types(self)
-        object.__setattr__(self, "hidden_overrides", MappingProxyType(dict(self.hidden_overrides)))
         require_choice("category", self.category, CATEGORIES)
         # Imported here, so that registering the plugin stays fast.
         from lerobot_adamanip.catalog import get_object, select_objects
@@ -145,15 +145,13 @@ class EnvironmentOptions:
         first = select_objects(self.category, self.objects, self.assets)[0]
         require_choice("poses", self.poses, POSES, hint="--env.poses=randomized")
         require_rules(self.category, self.mechanism_rules)
-        # Ranges depend on the object, so a reset checks them.
-        if chosen := {name: value for name, value in self.hidden_overrides.items() if not isinstance(value, float)}:
-            drawn = make_mechanism(get_object(first, self.assets), self.mechanism_rules)
-            drawn.draw(BalancedDraws(0, self.category), chosen)
+        self._normalise(first)
         require_choice("split of scenes", self.split, SPLITS, hint=CHOOSE_SPLIT)
         require_choice("source of clouds", self.cloud_source, CLOUD_SOURCES, hint="--env.cloud_source=raycast")
-        object.__setattr__(self, "sensing", "".join(self.sensing.lower().split()))
-        if self.sensing != EXACT:
-            _check_sensing(self.sensing, self.cloud_source)
+        sensing = "".join(self.sensing.lower().split())
+        if sensing != EXACT:
+            _check_sensing(sensing, self.cloud_source)
+        object.__setattr__(self, "sensing", sensing.replace("+", ""))  # "+5" is 5, and "1e+1" is 1e1
         require_choice("render backend", self.render_backend, RENDER_BACKENDS, hint="--env.render_backend=auto")
         require_choice("control", self.control, CONTROLS, hint="--env.control=dense")
         require_choice("kind of action", self.action, ACTION_NAMES, hint="--env.action=ee_delta")
@@ -165,16 +163,11 @@ class EnvironmentOptions:
             raise ConfigurationError("Wrong rate of control.", got=self.fps, allowed=str(RATES), hint="--env.fps=10")
         if self.max_steps is not None:
             _check_range("number of steps per episode", self.max_steps, STEPS, "--env.episode_length=300")
-        for name in self.cameras or ():
-            require_choice("camera", name, CAMERAS, hint="--env.cameras='[front,wrist]'")
-        if self.cameras is not None:
-            object.__setattr__(self, "cameras", tuple(dict.fromkeys(self.cameras)))
         if self.image_source is not None:
             require_choice("source of images", self.image_source, IMAGE_SOURCES, hint="--env.image_source=raycast")
         check_num_points(self.num_points)
         _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
-        object.__setattr__(self, "max_failed_tries", _tries(self.max_failed_tries))
         if not 0 <= self.hints <= 1:
             raise ConfigurationError("Wrong share of hints.", got=self.hints, allowed="0 ... 1", hint="--env.hints=0.5")
         _check_range("number of repeats", self.repeats, (1, 1000), "--env.repeats=3")
@@ -187,6 +180,37 @@ class EnvironmentOptions:
                 allowed="a first seed and an end above it",
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
             )
+        if self.episode_log == "":
+            allowed, hint = "the path of a file, or None for no log", "--env.episode_log=outputs/episodes.jsonl"
+            raise ConfigurationError("An episode log without a path.", got="''", allowed=allowed, hint=hint)
+
+    def _normalise(self, object_id: str) -> None:
+        """Replaces hidden values, cameras and the limit of tries by plain ones; raises an error for wrong ones.
+
+        A reset checks ranges of hidden values, which depend on the object.
+        """
+        from lerobot_adamanip.catalog import get_object
+        from lerobot_adamanip.mechanisms import make_mechanism
+
+        fixed = dict(self.hidden_overrides)
+        if chosen := {key: one for key, one in fixed.items() if not isinstance(one, float) or not math.isfinite(one)}:
+            mechanism = make_mechanism(get_object(object_id, self.assets), self.mechanism_rules)
+            hidden = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category), chosen))
+            fixed |= {name: hidden[name] for name in chosen}
+        object.__setattr__(self, "hidden_overrides", MappingProxyType(fixed))
+        if self.cameras is not None:
+            hint = "--env.cameras='[front,wrist]', or --env.observe_images=false"
+            for name in self.cameras or ("",):  # none is not all
+                require_choice("camera", name, CAMERAS, hint=hint)
+            object.__setattr__(self, "cameras", tuple(dict.fromkeys(self.cameras)))
+        tries = str(self.max_failed_tries)
+        if self.max_failed_tries in (None, BEST):
+            return
+        if not tries.isdecimal() or len(tries) > 9 or int(tries) > MAX_FAILED_TRIES:  # Python reads no 5000 digits
+            allowed = f"0 ... {MAX_FAILED_TRIES}, or {BEST}: as many as the best strategy needs at worst"
+            hint = f"--env.max_failed_tries={BEST}"
+            raise ConfigurationError("Wrong number of failed tries.", got=repr(tries[:80]), allowed=allowed, hint=hint)
+        object.__setattr__(self, "max_failed_tries", int(tries))
 
     def _check_effect(self, hidden_names: Iterable[str]) -> None:
         """Refuses options that change nothing with this control, and hints where none of ``hidden_names`` has one."""
@@ -313,25 +337,14 @@ def _check_sensing(sensing: str, cloud_source: str) -> None:
 
 
 def _check_workspace(box: Workspace) -> None:
-    if not all(low < high for low, high in zip(box.lower, box.upper, strict=True)):
+    corners = zip(box.lower, box.upper, strict=True)
+    if not all(-FURTHEST_CORNER_M <= low < high <= FURTHEST_CORNER_M for low, high in corners):
         raise ConfigurationError(
             "Wrong workspace.",
             got=f"lower {box.lower}, upper {box.upper}",
-            allowed="a lower corner below the upper one along x, y and z [m]",
+            allowed=f"a lower corner below the upper one along x, y and z, within {FURTHEST_CORNER_M:g} m",
             hint=f"--env.workspace_lower={list(DEFAULT_WORKSPACE.lower)}",
         )
-
-
-def _tries(value: int | str | None) -> int | str | None:
-    """Returns a number of failed tries as a number; raises `ConfigurationError`."""
-    if value in (None, BEST):
-        return value
-    if not str(value).isdecimal() or int(value) > MAX_FAILED_TRIES:
-        allowed = f"0 ... {MAX_FAILED_TRIES}, or {BEST}: as many as the best strategy needs at worst"
-        raise ConfigurationError(
-            "Wrong number of failed tries.", got=repr(value), allowed=allowed, hint=f"--env.max_failed_tries={BEST}"
-        )
-    return int(value)
 
 
 def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str) -> None:

@@ -47,7 +47,8 @@ _STORED_RULES = "mechanism_preset"
 _LONGEST = 200
 _COUNT = json_fields.integer(0, 2**31)
 _POSITION = json_fields.number(-1e9, 1e9)
-_TEXT = json_fields.text(rf"[^\r\n]{{1,{_LONGEST}}}", f"a line of at most {_LONGEST} characters")
+_LINE = rf"[^\r\n]{{1,{_LONGEST}}}"
+_TEXT = json_fields.text(_LINE, f"a line of at most {_LONGEST} characters")
 _WORD = json_fields.text(r"[A-Za-z_][A-Za-z0-9_]{0,60}", "a name")
 
 
@@ -100,11 +101,13 @@ class Provenance:
     versions: Annotated[Mapping[str, str], json_fields.mapping(_TEXT, _TEXT, 30)] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises an error for a label that a log cannot hold."""
+        """Raises an error for a label or an id that a log cannot hold."""
+        if self.run_id is not None and not re.fullmatch(_LINE, self.run_id):
+            allowed = f"one line, 1 ... {_LONGEST} characters"
+            raise ConfigurationError("Not a run_id.", got=f"{self.run_id!r:.80}", allowed=allowed, hint="run_id=None")
         if self.run_label is not None and not re.fullmatch(LABEL, self.run_label):
-            raise ConfigurationError(
-                "Not a label.", got=repr(self.run_label), allowed="one line, 1 ... 100 characters", hint="dp3_adaptive"
-            )
+            got, allowed = f"{self.run_label!r:.80}", "one line, 1 ... 100 characters"
+            raise ConfigurationError("Not a label.", got=got, allowed=allowed, hint="dp3_adaptive")
 
 
 @dataclass(frozen=True, kw_only=True)

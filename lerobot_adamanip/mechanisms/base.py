@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping
 from typing import Any, Protocol
@@ -46,8 +47,7 @@ class Mechanism[StateT](ABC):
         ``overrides`` fixes hidden values by name. The generator advances equally with and without them, so an override
         changes no other value. Raises `ConfigurationError` for an unknown name or an impossible value.
         """
-        unknown = set(overrides or ()) - set(self.hidden_names)
-        if unknown:
+        if unknown := [str(name) for name in overrides or () if name not in self.hidden_names]:
             got, allowed = ", ".join(sorted(unknown)), ", ".join(self.hidden_names)
             raise ConfigurationError("Unknown hidden value.", got=got, allowed=allowed, hint="leave it out")
         return self._draw(generator, overrides or {})
@@ -84,8 +84,10 @@ def overridden[ValueT: (bool, int, float)](
     if name not in overrides:
         return drawn
     value = overrides[name]
-    positive = isinstance(value, int | float) and not isinstance(value, bool) and 0 < value < math.inf
-    possible = value in choices if choices else positive and value <= most
+    is_flag = isinstance(value, bool | np.bool_)
+    is_number = isinstance(value, numbers.Real) and not is_flag
+    positive = is_number and 0 < value < math.inf
+    possible = (is_number or is_flag) and value in choices if choices else positive and value <= most
     if not possible:
         allowed = " or ".join(map(str, choices)) or f"a number above 0 and up to {most:g}"
         raise ConfigurationError(f"Impossible {name}.", got=repr(value), allowed=allowed, hint="leave it out")

@@ -78,7 +78,7 @@ def require_choice(what: str, got: str, choices: Iterable[str], *, hint: str | N
     names = sorted(choices)
     if got in names:
         return got
-    near = nearest(got, names)
+    near = nearest(str(got), names)  # a key of a mapping may have any type
     advice = f"did you mean {near}?" if near else hint or (names[0] if names else None)
     raise ConfigurationError(f"Unknown {what}.", got=repr(got), allowed=listed(names), hint=advice)
 
@@ -100,7 +100,7 @@ def require_types(instance: Any, prefix: str = "") -> None:
             continue
         try:
             object.__setattr__(instance, item.name, _converted(value, annotation))
-        except TypeError:
+        except (TypeError, OverflowError):  # a whole number may be too large for a float
             allowed = annotation.__name__ if isinstance(annotation, type) else annotation
             raise ConfigurationError(
                 f"Wrong type of {name}.",

@@ -57,6 +57,7 @@ WRONG = (
     ("memory dataset --out new --memory evnts", "did you mean events?"),
     ("check some/absent", "some/absent"),
     ("check --replai 1 x", "--replay"),
+    ("check dataset --assets nowhere", "does not exist"),
     ("keyframes some/absent --out new", "some/absent"),
     ("keyframes --out", "--out"),
     ("stats some/absent", "some/absent\n"),

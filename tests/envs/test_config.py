@@ -15,7 +15,7 @@ import lerobot_env_adamanip  # noqa: F401  (registers the types)
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.cameras import CAMERAS
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE
-from lerobot_adamanip.contract.seeds import scene_seed
+from lerobot_adamanip.contract.seeds import MAX_SEED, scene_seed
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import AdaManipError, ConfigurationError
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig
@@ -177,6 +177,12 @@ def test_bad_options_are_refused_before_a_simulator_starts(wrong: dict[str, Any]
     with pytest.raises(AdaManipError, match=r"(?s)got:.*allowed:.*try:") as caught:
         AdaManipSafeEnvConfig(**wrong)
     assert said in str(caught.value)
+
+
+@pytest.mark.parametrize("seed", [MAX_SEED + 1, 2**70])
+def test_a_seed_that_no_log_holds_is_refused_before_a_simulator_starts(seed: int) -> None:
+    with pytest.raises(ConfigurationError, match=rf"(?s)got: +{seed}.*allowed: +0 ... {MAX_SEED}.*try:"):
+        KeyframeEnv().reset(seed=seed)
 
 
 def test_no_environments_are_refused() -> None:

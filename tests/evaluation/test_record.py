@@ -11,6 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from records import record
 
+from lerobot_adamanip.contract.sensing import parse_sensing
+from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.evaluation.record import (
     LABEL,
     LIMITS,
@@ -59,6 +61,19 @@ def test_records_come_back_as_they_were_and_in_order(tmp_path: Path) -> None:
 )
 def test_json_there_and_back_is_the_same_record(one: EpisodeRecord) -> None:
     assert EpisodeRecord.from_json(json.loads(json.dumps(one.to_json()))) == one
+
+
+@pytest.mark.parametrize("typed", ["d435,camera_error_mm=+5", "d435,camera_error_mm=1E+1", "exact, lost=+.1_0"])
+def test_accepted_errors_of_sensors_are_read_as_they_were_written(typed: str) -> None:
+    one = record(sensing=EnvironmentOptions(sensing=typed).sensing)
+    assert EpisodeRecord.from_json(json.loads(json.dumps(one.to_json()))) == one
+    assert parse_sensing(one.sensing) == parse_sensing(typed.lower())
+
+
+@pytest.mark.parametrize("run_id", ["two\nlines", "x" * 201], ids=["lines", "long"])
+def test_a_run_id_that_no_log_holds_is_refused_before_it_is_written(run_id: str) -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*one line.*try:"):
+        record(run_id=run_id)
 
 
 @pytest.mark.parametrize("key", GOOD)

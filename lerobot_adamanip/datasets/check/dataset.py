@@ -6,6 +6,7 @@ import itertools
 from collections.abc import Iterator
 from pathlib import Path
 
+from lerobot_adamanip.assets.source import require_directory
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.datasets.check.facts import check_facts, has_facts, read_collection
 from lerobot_adamanip.datasets.check.features import check_features, contract_of
@@ -48,7 +49,10 @@ def check(
 
     Raises:
         DatasetError: there is no dataset.
+        ConfigurationError: there is no folder ``assets``.
     """
+    if assets is not None:
+        require_directory(assets)
     folder = require_dataset(root)
     report = Report(str(folder))
     for path in leftovers(folder):
