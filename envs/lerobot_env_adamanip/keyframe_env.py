@@ -22,13 +22,19 @@ from lerobot_adamanip.contract.keyframes import CLOSED_HAND, Feedback, KeyFrameL
 from lerobot_adamanip.contract.memory import EVENTS, TEXT
 from lerobot_adamanip.contract.observation import state_vector, workspace_cloud
 from lerobot_adamanip.contract.schema import FPS, STATE_DIM
-from lerobot_adamanip.contract.seeds import retried_seed, scene_seed, split_of
+from lerobot_adamanip.contract.seeds import MAX_SEED, retried_seed, scene_seed, split_of
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION, installed_versions, software_versions
 from lerobot_adamanip.episode.hints import instruction
 from lerobot_adamanip.episode.memory import Memory
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES, EnvironmentOptions, require_known
 from lerobot_adamanip.episode.tries import KeyFrameLabeler
-from lerobot_adamanip.evaluation.record import EpisodeRecord, Provenance, append_record, new_run_id
+from lerobot_adamanip.evaluation.record import (
+    EpisodeRecord,
+    Provenance,
+    append_record,
+    latest_evaluation,
+    new_run_id,
+)
 from lerobot_adamanip.mechanisms import best_tries
 from lerobot_adamanip.objects import PartAnnotation
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError, require_choice
@@ -54,18 +60,18 @@ _logger = logging.getLogger(__name__)
 class EpisodeLog:
     """Log of one environment, which numbers the evaluations of a run.
 
-    A repeated episode marks the next evaluation.
+    A repeated episode marks the next evaluation, also if another process has logged it before.
 
     Args:
         path: log file; other environments may append to it too.
         seeds: half-open range of given seeds to log; None for all. The last batch of an evaluation runs surplus
             episodes, which LeRobot does not count.
+        run_id: id of the run; None if no other environment belongs to it.
     """
 
-    def __init__(self, path: Path, seeds: tuple[int, int] | None = None) -> None:
+    def __init__(self, path: Path, seeds: tuple[int, int] | None = None, run_id: str | None = None) -> None:
         self.path, self._seeds = path, None if seeds is None else range(*seeds)
-        self._evaluation = 0
-        self._logged: set[tuple[object, ...]] = set()
+        self._evaluation, self._logged = (0, set()) if run_id is None else latest_evaluation(path, run_id)
 
     def append(self, record: EpisodeRecord) -> None:
         """Appends an ended episode, unless its given seed is outside the range."""
@@ -241,7 +247,7 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._task: AdaManipTask | None = None
         self._episode: RunningEpisode | None = None
         log = None if self.options.episode_log is None else Path(self.options.episode_log)
-        self._log = None if log is None else EpisodeLog(log, self.options.logged_seeds)
+        self._log = None if log is None else EpisodeLog(log, self.options.logged_seeds, self.options.run_id)
         run_id = None if log is None else self.options.run_id or new_run_id()  # without a log, of no evaluation
         rules, label = self.options.mechanism_rules, self.options.run_label
         self._provenance = Provenance(
@@ -261,9 +267,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Starts an episode. ``seed`` determines object, poses and hidden state; equal seeds give equal episodes.
 
-        With ``repeats`` of K, episodes whose seeds follow each other play the scene of the first, K at a time. The
-        seed is mapped into the environment's split. If the arm cannot reach its scene, other scenes derived from
-        the seed are tried; the log records this.
+        With ``repeats`` of K, episodes whose seeds follow each other, or that are reset without a seed, play the scene
+        of the first, K at a time. The seed is mapped into the environment's split. If the arm cannot reach its scene,
+        other scenes derived from the seed are tried; the log records this.
 
         Options: ``object_id`` selects an object of the category; ``hidden_overrides`` fixes hidden values. LeRobot's
         option of a new rollout has no effect.
@@ -275,11 +281,13 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         self._episode = self._image = None  # after a failed reset there is no episode
         chosen = reset_options(self.options, seed, options or {})
         super().reset(seed=seed)
-        given_seed = int(self.np_random.integers(2**31) if seed is None else seed)
         if self._task is None:
             # Three quarters of the time of ManiSkill's default shader, without a GPU.
             self._task = make_task(self.category, options=self.options, shader="minimal")
         repeat = self._repeat_of(seed)
+        if seed is None:
+            seed = self._seeds["given_seed"] + 1 if repeat else int(self.np_random.integers(2**31))
+        given_seed = int(seed)
         scene = scene_seed(given_seed - repeat + self.options.seed_offset, self.options.split)
         self._seeds = {"seed": self._load_scene(self._task, scene, chosen), "given_seed": given_seed, "repeat": repeat}
         self._start_episode(self._task)
@@ -290,7 +298,8 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _repeat_of(self, seed: int | None) -> int:
         """Returns how many episodes with the seeds before this one have played its scene, see ``repeats``."""
-        is_next = seed is not None and self._seeds.get("given_seed") == seed - 1
+        follows = self._seeds.get("given_seed", MAX_SEED) + 1
+        is_next = follows == (min(follows, MAX_SEED) if seed is None else seed)
         repeat = self._seeds.get("repeat", 0) + 1
         return repeat if is_next and repeat < self.options.repeats else 0
 

@@ -111,8 +111,8 @@ class SyncSimulators(gym.vector.SyncVectorEnv):
 class AsyncSimulators(gym.vector.AsyncVectorEnv):
     """Gymnasium's processes, started at first use and ended by `close` in any state; can be used again afterwards.
 
-    A suite therefore runs the processes of one category at a time. A log counts episodes before and after a `close` as
-    one evaluation. If a process dies, hangs or raises an error, all are ended. LeRobot's lazy environments neither
+    A suite therefore runs the processes of one category at a time. New processes continue to number the evaluations of
+    a log. If a process dies, hangs or raises an error, all are ended. LeRobot's lazy environments neither
     limit the time of an answer nor can they be closed after a death.
 
     Args:

@@ -6,6 +6,7 @@ metrics are computed from.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import logging
 import re
@@ -265,6 +266,24 @@ def append_record(path: Path, record: EpisodeRecord) -> None:
             allowed="a file that can be written, on a disk with free space",
             hint="--env.episode_log=FILE on another disk",
         ) from error
+
+
+def latest_evaluation(path: Path, run_id: str) -> tuple[int, set[tuple[object, ...]]]:
+    """Returns the number of a run's latest evaluation in a log, and the identities of its episodes.
+
+    Without any, the number is 0. Lines that cannot be read are skipped.
+    """
+    evaluation, identities = 0, set[tuple[object, ...]]()
+    name = f'"run_id": {json.dumps(run_id)}'
+    lines = path.read_text(encoding="utf-8", errors="replace").split("\n") if path.is_file() else []
+    for line in (each for each in lines if name in each):
+        with contextlib.suppress(ValueError):
+            record = EpisodeRecord.from_json(json_fields.parse(line))
+            if record.provenance.evaluation > evaluation:
+                evaluation, identities = record.provenance.evaluation, set()
+            if record.provenance.evaluation == evaluation:
+                identities.add(record.identity)
+    return evaluation, identities
 
 
 def read_log(path: Path) -> list[EpisodeRecord]:

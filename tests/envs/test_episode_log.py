@@ -17,10 +17,10 @@ from records import record
 from torch import nn
 
 from lerobot_adamanip.episode.options import EnvironmentOptions
-from lerobot_adamanip.evaluation.record import first_episodes, read_log
+from lerobot_adamanip.evaluation.record import append_record, first_episodes, read_log, split_evaluations
 from lerobot_env_adamanip import vector
 from lerobot_env_adamanip.config import AdaManipSafeEnvConfig, AdaManipSuiteEnvConfig
-from lerobot_env_adamanip.keyframe_env import EpisodeLog
+from lerobot_env_adamanip.keyframe_env import EpisodeLog, KeyframeEnv
 
 
 class OneStep(gym.Env[Any, Any]):
@@ -86,3 +86,19 @@ def test_left_out_a_whole_batch_is_logged_and_the_first_episodes_are_those_count
     found = read_log(tmp_path / "log.jsonl")
     assert len(found) == 4
     assert sorted(each.given_seed for each in first_episodes(found, 3)) == [1000, 1001, 1002]
+
+
+@pytest.mark.parametrize("is_restarted", [False, True], ids=["one process", "new processes"])
+def test_each_evaluation_of_a_run_is_a_group_of_its_own(is_restarted: bool, tmp_path: Path) -> None:
+    path = tmp_path / "log.jsonl"
+    append_record(path, record(seed=1000, run_id="other", evaluation=7))
+
+    def started() -> list[Any]:
+        return [KeyframeEnv(episode_log=str(path), run_id="run", observe_images=False)._log for _ in range(2)]
+
+    logs = started()
+    for _ in range(3):
+        logs = started() if is_restarted else logs
+        for seed in range(1000, 1006):
+            logs[seed % 2].append(record(seed=seed))
+    assert [len(each) for each in split_evaluations(read_log(path))] == [1, 6, 6, 6]

@@ -14,6 +14,7 @@ from lerobot_adamanip.episode.rollout import rollout
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.experts import make_expert
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_env_adamanip import keyframe_env
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 from lerobot_env_adamanip.vector import make_vector_env
 
@@ -82,6 +83,37 @@ def test_a_scene_is_repeated_with_its_hidden_state_and_says_its_hint(tmp_path: P
     assert {record.provenance.evaluation for record in records} == {0}, "a repeat is no second evaluation"
     for task, description, direction in texts:
         assert task == description == f"Open the door. It turns {'right' if direction > 0 else 'left'}."
+
+
+class Scenes(KeyframeEnv):
+    """Notes the scene and the repeat of each reset, without a simulator."""
+
+    def _load_scene(self, task: Any, seed: int, chosen: dict[str, Any]) -> int:
+        return seed
+
+    def _start_episode(self, task: Any) -> None:
+        self.played = self._seeds["seed"], self._seeds["repeat"]
+
+    def observe(self) -> dict[str, Any]:
+        return {}
+
+    def _info(self) -> dict[str, Any]:
+        return {}
+
+
+def test_resets_without_a_seed_repeat_the_scene(monkeypatch: pytest.MonkeyPatch) -> None:
+    """As `gymnasium.make_vec` resets each environment when its episode has ended."""
+    monkeypatch.setattr(keyframe_env, "make_task", lambda *_, **__: object())
+    env, other = Scenes("door", repeats=3), Scenes("door")
+    played, single = [], []
+    for seed in (1_000_040, None, None, None, None, 1_000_050, None):
+        for each, seen in ((env, played), (other, single)):
+            each.reset(seed=seed)
+            seen.append(each.played)
+    first, second = played[0][0], played[3][0]
+    assert first == 1_000_040 != second
+    assert played == [(first, 0), (first, 1), (first, 2), (second, 0), (second, 1), (1_000_050, 0), (1_000_050, 1)]
+    assert len({scene for scene, _ in single}) == 7
 
 
 def test_repeats_need_one_environment() -> None:
