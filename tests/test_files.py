@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import errno
 import os
+import re
 import resource
 import signal
 from concurrent.futures import ThreadPoolExecutor
@@ -10,7 +12,8 @@ from pathlib import Path
 
 import pytest
 
-from lerobot_adamanip.util import files
+from lerobot_adamanip.util import files, jobs
+from lerobot_adamanip.util.files import full_disk_error
 
 
 @pytest.fixture
@@ -104,3 +107,25 @@ def test_processes_append_to_one_log(tmp_path: Path) -> None:
     with ThreadPoolExecutor(8) as threads:  # each call opens the file anew, as a process does
         list(threads.map(lambda number: files.append_line(tmp_path / "log", f"{number:04d}" * 3000), range(64)))
     assert sorted((tmp_path / "log").read_text().split()) == [f"{number:04d}" * 3000 for number in range(64)]
+
+
+@pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_one_error_that_names_the_file(
+    code: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(descriptor: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(files.os, "fsync", full)
+    with pytest.raises(OSError, match=r"a\.json") as caught:
+        files.write_atomically(tmp_path / "a.json", b"content")
+    assert re.search(rf"{tmp_path}/a.json: [\d.]+ MB free\n.*allowed:.*\n.*repeat", str(full_disk_error(caught.value)))
+    assert "Traceback" not in jobs.error_text(caught.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_without_a_file_names_the_place_with_the_least_space(tmp_path: Path) -> None:
+    error = OSError(errno.ENOSPC, "No space left on device")
+    assert "/proc/new: 0.0 MB free" in str(full_disk_error(error, [str(tmp_path / "new/er"), "/proc/new"]))
+    assert full_disk_error(OSError(errno.EACCES, "Permission denied")) is None
+    assert full_disk_error(ValueError()) is None

@@ -126,7 +126,7 @@ def summary_text(summary: CollectSummary, part: str | None, adopted: Sequence[Pa
     if part is not None:
         return f"Part {part}: {summary.episodes} episodes in {summary.root}, {summary.recorded} of them new."
     if summary.recorded == 0 and not adopted:
-        return f"Complete already: {summary.episodes} episodes in {summary.root}"
+        return f"Complete: {summary.episodes} episodes in {summary.root}, none of them recorded by this run."
     lines = [
         f"{summary.episodes} episodes in {summary.root} ({summary.bytes / 1e6:.1f} MB): "
         f"{summary.recorded} recorded in {summary.recording_seconds:.0f} s, "

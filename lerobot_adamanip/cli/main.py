@@ -15,6 +15,7 @@ from lerobot_adamanip import NO_PLUGIN
 from lerobot_adamanip.cli.option_names import check_options, unreadable_options
 from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import INSTALL_SIM, AdaManipError, ConfigurationError, SimulatorError, listed, nearest
+from lerobot_adamanip.util.files import full_disk_error
 
 EXIT_ERROR, EXIT_INTERRUPTED = 2, 130
 _USES_PLUGIN = ("doctor", "objects", "annotate", "calibrate", "report", "benchmark")
@@ -148,6 +149,11 @@ def _answer(arguments: Sequence[str]) -> int:
     return execute(arguments[0], arguments[1:])
 
 
+def _discard_output() -> None:
+    """Drops output that cannot be written, so that Python does not raise again at exit."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Entry point of the `adamanip` command.
 
@@ -166,19 +172,23 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"error: {error}", file=sys.stderr)
         return EXIT_ERROR
     except BrokenPipeError:
-        # The reader, e.g. `head`, has closed the pipe. Python must not raise again at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _discard_output()  # the reader, e.g. `head`, has closed the pipe
         return EXIT_ERROR
     except OSError as error:
-        if error.filename is None:
+        refusal = full_disk_error(error, [*(each.rpartition("=")[2] for each in arguments), "."])
+        if refusal is None and error.filename is None:
             raise  # of no file that a user has named: the traceback helps
-        refusal = ConfigurationError(
+        refusal = refusal or ConfigurationError(
             "A file or folder cannot be used.",
             got=f"{error.filename}: {error.strerror}",
             allowed="a path that can be read or written, as the command needs",
             hint="another path",
         )
         print(f"error: {refusal}", file=sys.stderr)
+        try:
+            sys.stdout.flush()
+        except OSError:  # a full disk
+            _discard_output()
         return EXIT_ERROR
     except KeyboardInterrupt:
         print("interrupted", file=sys.stderr)

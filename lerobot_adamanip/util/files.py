@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import fcntl
 import os
 import shutil
 import uuid
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from lerobot_adamanip.util.errors import DatasetError
+from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
 CRASH_POINTS = (
     "output claimed", "collection prepared", "shard written", "shard in place", "all recorded", "assembly begun",
@@ -48,12 +49,35 @@ def write_atomically(path: Path, content: bytes, *, crash_points: tuple[str, str
         if crash_points is not None:
             crash_point(crash_points[0])
         os.replace(temporary, path)
-    except BaseException:
+    except BaseException as error:
         temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):  # a failed write names no file
+            error.filename = str(path)
         raise
     sync(path.parent)
     if crash_points is not None:
         crash_point(crash_points[1])
+
+
+def full_disk_error(error: Exception, places: Iterable[str] = ()) -> AdaManipError | None:
+    """Returns the error for a write to a full disk; None for any other error.
+
+    Args:
+        error: error of the write.
+        places: paths that may have been written to. If ``error`` names no file, the error names the one of them, or of
+            the temporary files, with the least free space.
+    """
+    if not isinstance(error, OSError) or error.errno not in (errno.ENOSPC, errno.EDQUOT):
+        return None
+    paths = [Path(each) for each in ([error.filename] if error.filename else (*places, os.getenv("TMPDIR", "/tmp")))]
+    existing = [next(each for each in (path, *path.parents) if os.path.exists(each)) for path in paths]
+    free, path = min(zip([shutil.disk_usage(each).free for each in existing], paths, strict=True))
+    return AdaManipError(
+        "No space is left on the disk.",
+        got=f"{path}: {free / 1e6:.1f} MB free",
+        allowed="free space for all files that the command writes",
+        hint="free some space there, then repeat the command",
+    )
 
 
 def append_line(path: Path, line: str) -> None:

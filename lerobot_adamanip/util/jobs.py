@@ -22,6 +22,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, Self
 
 from lerobot_adamanip.util.errors import AdaManipError
+from lerobot_adamanip.util.files import full_disk_error
 
 DEFAULT_TIMEOUT = 600.0
 """A worker without a heartbeat for this long counts as hanging [s]. The first one includes the simulator's start."""
@@ -267,7 +268,8 @@ def thread_limits() -> Iterator[None]:
 
 def error_text(error: Exception) -> str:
     """Returns an error of the work as text for the parent process, because exceptions may not pickle."""
-    return str(error) if isinstance(error, AdaManipError) else "".join(traceback.format_exception(error))
+    shown = full_disk_error(error) or error
+    return str(shown) if isinstance(shown, AdaManipError) else "".join(traceback.format_exception(error))
 
 
 def _serve[Item](pipe: Connection, session: Session[Item], render_threads: int) -> None:

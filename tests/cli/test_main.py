@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -27,6 +28,8 @@ class Probe:
             raise DatasetError("half written")
         if self.fail == "path":
             raise NotADirectoryError(20, "Not a directory", "some/file/x")
+        if self.fail == "disk":
+            raise OSError(errno.ENOSPC, "No space left on device")
         if self.fail == "socket":
             raise OSError(98, "Address already in use")
         if self.fail == "interrupt":
@@ -57,6 +60,7 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
         (["probe", "--status", "7"], 7, "", ""),
         (["probe", "--fail", "dataset"], 2, "", "error: half written\n"),
         (["probe", "--fail", "path"], 2, "", "some/file/x: Not a directory\n  allowed:"),
+        (["probe", "--fail", "disk"], 2, "", "error: No space is left on the disk.\n  got:"),
         (["probe", "--fail", "interrupt"], 130, "", "interrupted\n"),
         (["probe", "--fail", "simulator"], 2, "", INSTALL_SIM),
         (["absent"], 2, "", "no_such_module"),
@@ -82,6 +86,18 @@ def test_a_pipe_that_its_reader_has_closed_is_no_traceback(option: str, unbuffer
     done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, text=True, env=environment, check=False)
     os.close(writer)
     assert (done.returncode, done.stderr) == (cli.EXIT_ERROR, "")
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_onto_a_full_disk_is_one_error(unbuffered: str) -> None:
+    command = [sys.executable, "-m", "lerobot_adamanip.cli.main", "--version"]
+    environment = {**os.environ, "PYTHONUNBUFFERED": unbuffered}
+    with open("/dev/full", "w") as full:
+        done = subprocess.run(command, stdout=full, stderr=subprocess.PIPE, text=True, env=environment, check=False)
+    assert done.returncode == cli.EXIT_ERROR
+    assert done.stderr.startswith("error: No space is left on the disk.")
+    assert "Traceback" not in done.stderr
+    assert "Exception" not in done.stderr
 
 
 def test_help_lists_every_command() -> None:

@@ -58,7 +58,7 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
     assert content["episodes_per_minute"] == pytest.approx(240 / content["recording_seconds"], rel=1e-3)
     assert content["bytes"] == sum(path.stat().st_size for path in root.rglob("*") if path.is_file())
     assert main(["collect", str(root), *SMALL]) == 0
-    assert "Complete already: 4 episodes" in capfd.readouterr().out
+    assert f"Complete: 4 episodes in {root}, none of them recorded by this run." in capfd.readouterr().out
 
 
 @pytest.mark.usefixtures("fake")
@@ -140,7 +140,7 @@ def test_pictures_are_taken_where_something_renders_and_a_collection_keeps_its_c
     assert has is renders
     monkeypatch.setattr(render_device, "can_render", lambda: not renders)
     assert main(line) == 0
-    assert "Complete already" in capfd.readouterr().out
+    assert "Complete: 4 episodes" in capfd.readouterr().out
     assert resolve_images((tmp_path / "new", root), False) is renders, "a part's choice is that of the whole"
 
 
