@@ -24,6 +24,8 @@ UNDONE_UNITS = (0.01, 0.01, 0.01, 0.2, 0.2, 0.2, 1.0)
 """Units of the undone part of a motion [m, m, m, rad, rad, rad, -]: typical of a stopped arm."""
 EVENT_RANGE = 3.0
 EVENT_DIM = 2 * MOTION_DIM + 2
+END = 2.0
+"""Gripper opening, in a history, of the last command of an earlier episode; others are 0 to 1."""
 
 
 def surely_none(mask: Tensor) -> bool:
@@ -36,7 +38,7 @@ class Past:
     """The past H key frames, or steps at control rate: what was commanded, and how far the arm followed.
 
     Attributes:
-        commands: (B, H, 10) commanded poses, oldest first.
+        commands: (B, H, 10) commanded poses, oldest first; `END` as the opening of an earlier episode's last command.
         poses: (B, H + 1, 10) measured tool poses before each command, and the present one.
         valid: (B, H) bool, false before the episode's start.
         is_dense: whether these are steps or strokes at control rate.
@@ -86,6 +88,11 @@ class Past:
         return result
 
     @cached_property
+    def ends(self) -> Tensor:
+        """Mask (B, H) of the last commands of earlier episodes, whose result was not observed."""
+        return self.valid & (self.commands[..., GRIPPER_DIM] >= END)
+
+    @cached_property
     def opens(self) -> Tensor:
         """Mask (B, H) of commands that open the hand or leave it open."""
         return self.commands[..., GRIPPER_DIM] >= CLOSED_HAND
@@ -94,6 +101,7 @@ class Past:
         """Returns a row (B, H, 16) per key frame, zero where invalid; without ``feedback``, zero for the arm's result.
 
         A row is the commanded motion, the undone one (each in its units), the reached gripper opening, and validity.
+        At the end of an earlier episode all but validity are zero.
         """
         commanded, undone = self.motions
         reached = self.poses[:, 1:, GRIPPER_DIM:]
@@ -101,7 +109,8 @@ class Past:
         outcome = torch.cat([undone / constant(UNDONE_UNITS, undone), reached], dim=-1)
         outcome = outcome if feedback else torch.zeros_like(outcome)
         commanded = commanded / constant(MOTION_UNITS, commanded)
-        rows = torch.cat([commanded, outcome, torch.ones_like(commanded[..., :1])], dim=-1)
+        rows = torch.cat([commanded, outcome], dim=-1).masked_fill(self.ends[..., None], 0.0)
+        rows = torch.cat([rows, torch.ones_like(commanded[..., :1])], dim=-1)
         return rows.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~self.valid[..., None], 0.0)
 
 

@@ -20,6 +20,9 @@ from lerobot_adamanip.util.arrow import episode_bounds
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.common.inputs import EPISODE, INDEX, is_trained, read_columns
 
+EARLIER = 2
+"""Number of other episodes in which a history is continued, if the first is short."""
+
 
 class EarlierEpisodes:
     """Episodes with the same hidden values, among those that are trained on.
@@ -53,7 +56,7 @@ class EarlierEpisodes:
         self._tensors = {name: torch.from_numpy(np.ascontiguousarray(array)) for name, array in arrays.items()}
 
     def continued(self, present: Tensor, rows: Tensor, valid: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Continues histories of present rows (B,) in a random other episode with the same hidden values.
+        """Continues histories of present rows (B,) in random other episodes with the same hidden values.
 
         A full history stays as it is, and one without such an episode.
 
@@ -63,23 +66,24 @@ class EarlierEpisodes:
             valid: whether these are of the same episode (B, H).
 
         Returns:
-            ``rows`` and ``valid`` of the longer history; whether a row is the last command of the other episode (B, H);
+            ``rows`` and ``valid`` of the longer history; whether a row is the last command of another episode (B, H);
             whether the present row's action is a label for whoever has this history (B,).
         """
         of = {name: values.to(present.device) for name, values in self._tensors.items()}
         offset, size, rank = of["places"][present].unbind(dim=-1)
-        share, which = torch.rand(2, len(present), device=present.device)
-        chosen = (share < self.share) & (size > 1) & ~valid.all(dim=1)
-        others = (size - 1).clamp(min=1)
-        place = offset + (rank + 1 + (which * others).long()) % size.clamp(min=1)
-        other = of["starts"][place.clamp(max=len(of["starts"]) - 1)]
-        missing = (~valid).sum(dim=1, keepdim=True)
-        # The last row of an episode is its final observation; its command was not sent.
-        earlier = of["last"][other, None] - missing + torch.arange(valid.shape[1], device=present.device)
-        taken = chosen[:, None] & ~valid & (earlier >= other[:, None])
-        is_last = taken & (earlier == of["last"][other, None] - 1)
-        is_label = ~(chosen & of["fails"][present])
-        return torch.where(taken, earlier, rows), valid | taken, is_last, is_label
+        chosen = (torch.rand(len(present), device=present.device) < self.share) & (size > 1) & ~valid.all(dim=1)
+        is_last, others = torch.zeros_like(valid), (size - 1).clamp(min=1)
+        for _ in range(EARLIER):
+            which = (torch.rand(len(present), device=present.device) * others).long()
+            place = offset + (rank + 1 + which) % size.clamp(min=1)
+            other = of["starts"][place.clamp(max=len(of["starts"]) - 1)]
+            missing = (~valid).sum(dim=1, keepdim=True)
+            # The last row of an episode is its final observation; its command was not sent.
+            earlier = of["last"][other, None] - missing + torch.arange(valid.shape[1], device=present.device)
+            taken = chosen[:, None] & ~valid & (earlier >= other[:, None])
+            is_last = is_last | (taken & (earlier == of["last"][other, None] - 1))
+            rows, valid = torch.where(taken, earlier, rows), valid | taken
+        return rows, valid, is_last, ~(chosen & of["fails"][present])
 
 
 def _hidden_values(episode: Mapping[str, Any]) -> str:

@@ -21,6 +21,7 @@ from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.lerobot_patches.batched_reading import read_in_batches
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
 from lerobot_policy_adamanip.common import geometry, inputs, strokes
+from lerobot_policy_adamanip.common.contacts import END
 from lerobot_policy_adamanip.common.earlier_episodes import EarlierEpisodes
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.common.motion_clusters import demonstrated_motions, warn_of_other_motions
@@ -211,7 +212,7 @@ class DP3AdaptivePolicy(CloudPolicy):
             return recorded.column(schema.EXECUTED, before), starts, valid, torch.ones_like(rows, dtype=torch.bool)
         before, valid, is_last, is_known = self._earlier.continued(rows, before, valid)
         executed = recorded.column(schema.EXECUTED, before)
-        executed[..., schema.GRIPPER_DIM].masked_fill_(is_last, 1.0)  # as `reset` at run time
+        executed[..., schema.GRIPPER_DIM].masked_fill_(is_last, END)  # as `reset` at run time
         return executed, before, valid, is_known
 
     def _prepared(self, batch: dict[str, Any], key: str, recorded: Tensor) -> Tensor:
@@ -259,9 +260,9 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._episodes += self._episodes == 0 or self._has_acted
         self._has_acted = False
         if 1 < self._episodes <= self.config.memory_episodes:
-            # The result of the last action was not observed, so it must not count as a try: remember an opening hand.
+            # The result of the last action was not observed, so it is no try.
             self._executed[-1] = self._executed[-1].clone()
-            self._executed[-1][:, schema.GRIPPER_DIM] = 1.0
+            self._executed[-1][:, schema.GRIPPER_DIM] = END
             return
         self._episodes = 1
         self._observed: deque[dict[str, Tensor]] = deque(maxlen=None if self._has_strokes else self._observed_steps)

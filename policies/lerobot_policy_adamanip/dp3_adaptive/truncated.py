@@ -101,7 +101,7 @@ class ToolHead(nn.Module):
     def remembered(self, window: Window) -> tuple[Tensor, Tensor]:
         """Returns `Past.events` (B, H, 16) and the mask (B, H) of those that the memory reads."""
         past = self.past(window)
-        contact = past.contact | past.missed if self.READS_MISSES else past.contact
+        contact = past.contact | past.missed | past.ends if self.READS_MISSES else past.contact
         read = contact if self.config.memory_kind == EVENTS else past.valid
         if (latest := self.config.inference.latest_events) and not self.training:
             read = read & (read.flip(1).cumsum(dim=1).flip(1) <= latest)

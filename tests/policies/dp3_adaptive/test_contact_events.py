@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from lerobot_adamanip.contract import schema
-from lerobot_policy_adamanip.common.contacts import EVENT_DIM, ContactMemory, Past
+from lerobot_policy_adamanip.common.contacts import END, EVENT_DIM, ContactMemory, Past
 from lerobot_policy_adamanip.common.geometry import fingers_swapped, motion_between, pose_after
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.dp3_adaptive import no_repeat
@@ -85,6 +85,21 @@ def test_what_is_no_contact_event_leaves_no_trace_in_the_memory() -> None:
     assert torch.equal(memory(happened, contact), memory(other, contact))
     assert not memory(happened, contact)[1].any()
     assert memory(happened, contact)[0].all()
+
+
+def test_the_end_of_an_earlier_episode_is_read_and_is_no_try() -> None:
+    commands, poses, valid = played((PULL, 0.0), (TURN, 0.0), (PULL, 0.0))
+    before = Past(commands, poses, valid)
+    commands = commands.clone()
+    commands[:, 2, 9] = END
+    past = Past(commands, poses, valid)
+    assert before.contact[0].tolist() == [False, True, True, True]
+    assert past.contact[0].tolist() == [False, True, False, False]  # what follows begins with another hand
+    assert past.ends[0].tolist() == [False, False, True, False]
+    assert not Past(commands, poses, torch.zeros_like(valid)).ends.any()
+    rows, others = past.events()[0], torch.tensor([0, 1, 3])
+    assert rows[2].tolist() == [0.0] * (EVENT_DIM - 1) + [1.0]
+    assert torch.equal(rows[others], before.events()[0][others])
 
 
 def test_without_feedback_an_event_is_the_command_alone() -> None:
