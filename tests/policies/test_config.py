@@ -46,6 +46,8 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"num_refinements": -1}, {"inference": Inference(memory=False), "preset": "dp3"},
         {"inference": Inference(temperature=0.0)}, {"inference": Inference(latest_events=-1)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
+        {"augmentation_earlier_episodes": -0.1}, {"augmentation_earlier_episodes": 0.5, "preset": "dense"},
+        {"augmentation_earlier_episodes": 0.5, "n_action_history_steps": 0},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"}, {"use_feedback": "false"},
         {"num_points": "64"}, {"optimizer_lr": "small"}, {"inference": Inference(memory="false")},  # type: ignore[arg-type]
         {"memory_episodes": 3, "preset": "dp3"},  # it remembers nothing
