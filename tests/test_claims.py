@@ -9,7 +9,7 @@ from pathlib import Path
 import make_results
 import pytest
 
-from lerobot_adamanip.benchmark.report import BenchmarkReport
+from lerobot_adamanip.benchmark.report import BenchmarkReport, within
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES, PairedDifference
@@ -280,6 +280,23 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
         values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
         said.append("{:+d} points [{:+d}, {:+d}]".format(*values) + f" better than {name}")
     assert f"Within the tries, events are {listed(said)}." in text
+
+
+@pytest.mark.parametrize(
+    ("scale", "objects", "method"),
+    [
+        ("held_out_row", "unseen", "dp3_adaptive_corrected"),
+        ("held_out_changing", "unseen", "dp3_adaptive_corrected"),
+    ],
+)
+def test_tracks_are_measured_as_said(scale: str, objects: str, method: str) -> None:
+    report, without = REPORTS[scale], f"{method}_without_memory"
+    shares = [percent_text(report.mean(name, objects, within)) for name in ("expert", "luck", method, without)]
+    difference = report.paired((method, without), report.categories, objects, WITHIN_TRIES)
+    assert difference is not None
+    values = (100 * value for value in (difference.difference, difference.low, difference.high))
+    row = f"| `{scale}`, {objects} | {' | '.join(shares)} | {{:+.0f}} [{{:+.0f}}, {{:+.0f}}] |".format(*values)
+    assert row in DOCUMENTS["docs/tracks.md"]
 
 
 def test_scenes_that_are_played_again_are_counted_as_said() -> None:

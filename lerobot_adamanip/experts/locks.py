@@ -109,6 +109,7 @@ class LocksExpert:
         if not self.moves:  # what a camera shows of motions before a takeover
             self.moves = int(self._is_out) + 2 * int(self._is_ajar and not self._is_out) + int(self._is_ajar)
         self._held = ""
+        self._reached = 0.0  # where the hand was after a pull that failed, as a position of the part
 
     @property
     def angle(self) -> float:
@@ -169,7 +170,10 @@ class LocksExpert:
             if self.hand.is_open(self.style.final, self.style.path):
                 return
             if not self._is_ajar:
+                # The part has given way a little: a hand that turns the key nearer would push the part shut.
+                shut, self.hand.positions[style.final] = self.hand.at(style.final), self._reached
                 yield from self._turn_anew(later_direction)
+                self.hand.positions[style.final] = shut
 
     def _latest_way(self) -> int:
         """Returns the direction out that the latest try of the key suggests; 0 without a try."""
@@ -274,6 +278,7 @@ class LocksExpert:
             elif hand.is_open(style.final, style.path):
                 break
             elif hand.feedback.failed and hand.at(style.final) - here < least:
+                self._reached = min(hand.at(style.final), HAND_COMPLIANCE[part.motion(style.final).kind])
                 hand.positions[style.final] = here  # a blocked joint has not moved; the hand gave way
                 break
         return hand.at(style.final) - start > least
