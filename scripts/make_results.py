@@ -27,7 +27,10 @@ IN_README = ("demo.json",)
 """Result files for the README. docs/results.md shows all."""
 MEANS = {"test": ("dp3_adaptive", "without_memory", "never_with_memory", "mm20", "mm20_calibrated", "d435_calibrated")}
 """Scale -> methods whose means the README shows; docs/results.md has all."""
-SCALES = ("test", "row", "held_out_row", "held_out_changing", "real_sensors", "again", "paper", "one_object", "control_rate", "paper_0_2")
+SCALES = (
+    "test", "row", "held_out_row", "held_out_changing", "real_sensors", "again", "paper", "one_object",
+    "control_rate", "paper_0_2",
+)  # fmt: skip
 """Order of the scales on the page; others follow."""
 PAGE, BOARD = ROOT / "docs" / "results.md", ROOT / "docs" / "leaderboard.md"
 README, RESULTS = ROOT / "README.md", ROOT / "results"

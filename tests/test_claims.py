@@ -285,6 +285,7 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
 @pytest.mark.parametrize(
     ("scale", "objects", "method"),
     [
+        ("row", "unseen", "dp3_adaptive"),
         ("held_out_row", "unseen", "dp3_adaptive_corrected"),
         ("held_out_changing", "unseen", "dp3_adaptive_corrected"),
     ],
@@ -297,6 +298,35 @@ def test_tracks_are_measured_as_said(scale: str, objects: str, method: str) -> N
     values = (100 * value for value in (difference.difference, difference.low, difference.high))
     row = f"| `{scale}`, {objects} | {' | '.join(shares)} | {{:+.0f}} [{{:+.0f}}, {{:+.0f}}] |".format(*values)
     assert row in DOCUMENTS["docs/tracks.md"]
+
+
+def test_failures_in_a_row_are_counted_as_said() -> None:
+    report = REPORTS["row"]
+    rows = {name: report.entries["dp3_adaptive", name, "unseen"].metrics for name in report.categories}
+    failures = {name: metrics.failures or {} for name, metrics in rows.items()}
+    moved, vain, ajar, none = (
+        sum(each[end] for each in failures.values()) for end in ("key moved", "tried in vain", "ajar", "no try")
+    )
+    count = sum(metrics.success.episodes for metrics in rows.values())
+    text = (
+        f"Of {count} rows that `dp3_adaptive` has learned, {moved + vain + ajar + none} stay shut: in {moved} the key "
+    )
+    text += f"has moved and the next lock holds, in {vain} the key was turned in vain "
+    text += f"({failures['safe']['tried in vain']} at safes), in {ajar} the part is ajar, in {none} nothing was tried. "
+    text += f"Pens open in {rows['pen'].success.count} of 60 scenes, windows in {rows['window'].success.count}."
+    assert text in DOCUMENTS["docs/tracks.md"]
+
+
+def test_the_readme_says_how_hard_a_row_is() -> None:
+    methods = (
+        ("row", "dp3_adaptive"),
+        ("row", "dp3_adaptive_without_memory"),
+        ("held_out_row", "dp3_adaptive_corrected"),
+    )
+    shares = [REPORTS[scale].mean(name, "unseen", within) for scale, name in methods]
+    shown, removed, other = (f"{100 * share:.0f}" for share in shares if share is not None)
+    text = f"opens {shown} % of rows of three locks within the tries, {removed} without its memory, and {other} if it"
+    assert f"{text} has seen single locks alone." in DOCUMENTS["README.md"]
 
 
 def test_scenes_that_are_played_again_are_counted_as_said() -> None:
