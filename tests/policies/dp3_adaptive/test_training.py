@@ -195,9 +195,8 @@ def test_the_files_say_where_episodes_end(tmp_path: Path) -> None:
     for extra, labels in ((ends, [True, False, True, False, False]), ({}, [True] * 5)):
         recorded = read_recorded_rows(SimpleNamespace(root=tmp_path, features=[*columns, *extra]))
         assert recorded.column(IS_LABEL, torch.arange(5)).tolist() == labels
-        motions, openings = demonstrated_motions(recorded)
-        torch.testing.assert_close(motions, torch.tensor([0.0] * 6 + [0.3]).expand(sum(labels), 7))
-        assert openings.tolist() == [np.float32(0.3)] * sum(labels)
+        expected = torch.tensor([0.0] * 6 + [0.3]).expand(sum(labels), 7)
+        torch.testing.assert_close(demonstrated_motions(recorded), expected)
 
 
 def test_fine_tuning_on_other_motions_warns(
@@ -208,8 +207,8 @@ def test_fine_tuning_on_other_motions_warns(
     again = type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
     assert "spreads from every anchor" not in caplog.text
     assert torch.equal(again.model.motions.anchors, policy.model.motions.anchors)
-    other = demonstrated_motions(policy.recorded)[0] + 1.0
-    monkeypatch.setattr(modeling_dp3_adaptive, "demonstrated_motions", lambda _: (other, other[:, 6]))
+    other = demonstrated_motions(policy.recorded) + 1.0
+    monkeypatch.setattr(modeling_dp3_adaptive, "demonstrated_motions", lambda _: other)
     type(policy).from_pretrained(tmp_path, dataset_meta=dataset.meta)
     assert "spreads from every anchor" in caplog.text
 
