@@ -2,7 +2,8 @@
 
 At run time ``memory_episodes`` keeps the history while one scene is played again. No demonstration shows that. So in
 training some histories are continued into the past, by the end of another episode with the same hidden values, ranges
-aside. What is demonstrated until the last failed try is then no label: whoever remembers does not try it.
+aside. Their rows up to the last failed try of the present episode are not labels: a policy that remembers the earlier
+episode should not make that try.
 """
 
 from __future__ import annotations
@@ -67,9 +68,10 @@ class EarlierEpisodes:
 
         Returns:
             ``rows`` and ``valid`` of the longer history; whether a row is the last command of another episode (B, H);
-            whether the present row's action is a label for whoever has this history (B,).
+            whether the present row's action is a training label (B,).
         """
-        of = {name: values.to(present.device) for name, values in self._tensors.items()}
+        # Kept on the device of the batches, so that they are copied once.
+        of = self._tensors = {name: values.to(present.device) for name, values in self._tensors.items()}
         offset, size, rank = of["places"][present].unbind(dim=-1)
         chosen = (torch.rand(len(present), device=present.device) < self.share) & (size > 1) & ~valid.all(dim=1)
         is_last, others = torch.zeros_like(valid), (size - 1).clamp(min=1)

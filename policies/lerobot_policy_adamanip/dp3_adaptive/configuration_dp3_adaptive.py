@@ -318,7 +318,8 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
         has_events = self.method.has_anchors and self.n_action_history_steps > 0
         if self.augmentation_earlier_episodes and not has_events:
             allowed = "0 without a history of actions, and with other presets than keyframe"
-            raise self._error("No memory over episodes is trained.", ["augmentation_earlier_episodes"], allowed, "0")
+            name = "augmentation_earlier_episodes"
+            raise self._error("No memory over episodes is trained.", [name], allowed, f"--policy.{name}=0")
         if self.inference.no_repeat and not self.n_action_history_steps:
             raise self._error(
                 "inference.no_repeat reads the history of actions, which this policy does not have.",

@@ -200,7 +200,7 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     def _recorded_history(self, recorded: inputs.RecordedRows, rows: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Returns the history of rows (B,): executed actions (B, H, A), positions (B, H) of the poses before them, and
-        validity (B, H). Last, whether the rows' actions are labels for whoever has this history (B,).
+        validity (B, H); and whether the rows' actions are training labels (B,).
         """
         steps = self.config.n_action_history_steps
         if self._has_strokes:
