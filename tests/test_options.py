@@ -112,7 +112,8 @@ def test_json_holds_every_option() -> None:
         ({"cameras": "front"}, "'front' (str)"),
         ({"cameras": []}, "--env.observe_images=false"),  # none is not all
         ({"objects": "safe_000,safe_001,safe_000"}, "each once"),
-        ({"episode_log": ""}, "without a path"),
+        ({"episode_log": ""}, "not a file's path"),
+        ({"episode_log": "."}, "not a file's path"),  # a folder
         ({"assets": "x" * 5000}, "does not exist"),
         ({"max_failed_tries": "9" * 5000}, "0 ... 1000"),
         ({"hints": 10**400}, "float"),

@@ -137,12 +137,11 @@ class RunningEpisode:
         self.steps += 1
         self.clipped_goals += driver.feedback.is_clipped
         self._labeler.after_key_frame(simulation.joint_positions(), opens=driver.goal[1] > CLOSED_HAND)
-        tries, allowed = simulation.tries, self._max_failed_tries
-        # A try in a key frame that was not blocked may still move its joint in the next one.
-        is_blocked = not self._is_dense and driver.feedback.outcome is not Outcome.REACHED
-        failed = tries.failed_tries if is_blocked else tries.ended_failed_tries
         limit = TIME_LIMIT if self.steps >= self._step_limit else ""
-        limit = TOO_MANY_TRIES if allowed is not None and failed > allowed else limit
+        # A try in a key frame that was not blocked may still move its joint in the next one.
+        may_go_on = self._is_dense or driver.feedback.outcome is Outcome.REACHED
+        if (allowed := self._max_failed_tries) is not None and self.record(ended=may_go_on).failed_tries > allowed:
+            limit = TOO_MANY_TRIES
         self.success |= simulation.succeeded() and limit != TOO_MANY_TRIES
         if self.end is None and (self.success or limit):
             self.end_by("" if self.success else limit)
@@ -158,8 +157,8 @@ class RunningEpisode:
         success = self.end is not None and self.end.success
         return success, self.end is not None and not success
 
-    def record(self) -> EpisodeRecord:
-        """Returns the record of the episode so far."""
+    def record(self, *, ended: bool = False) -> EpisodeRecord:
+        """Returns the record of the episode so far; with ``ended`` without a failed try that goes on."""
         simulation = self.task.simulation
         object_id = simulation.obj.object_id
         return EpisodeRecord(
@@ -175,7 +174,7 @@ class RunningEpisode:
             max_key_frames=self._step_limit,
             max_failed_tries=self._max_failed_tries,
             poses=self._options.poses,
-            try_sequence=tuple((item.joint, item.direction, item.failed) for item in simulation.tries.tries),
+            try_sequence=simulation.tries.sequence(ended=ended),
             joints=simulation.joint_positions(),
             repeat=self._repeat,
             sensing=self._options.sensing,

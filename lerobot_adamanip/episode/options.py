@@ -180,9 +180,10 @@ class EnvironmentOptions:
                 allowed="a first seed and an end above it",
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
             )
-        if self.episode_log == "":
+        if self.episode_log is not None and (self.episode_log == "" or Path(self.episode_log).is_dir()):
             allowed, hint = "the path of a file, or None for no log", "--env.episode_log=outputs/episodes.jsonl"
-            raise ConfigurationError("An episode log without a path.", got="''", allowed=allowed, hint=hint)
+            got = repr(self.episode_log)
+            raise ConfigurationError("The episode log is not a file's path.", got=got, allowed=allowed, hint=hint)
 
     def _normalise(self, object_id: str) -> None:
         """Replaces hidden values, cameras and the limit of tries by plain ones; raises an error for wrong ones.

@@ -102,16 +102,11 @@ class TryTracker:
             name: _JointState(kind, self.positions[name], self.positions[name]) for name, kind in self.kinds.items()
         }
 
-    @property
-    def failed_tries(self) -> int:
-        """Number of failed tries so far."""
-        return sum(each.failed for each in self.tries)
-
-    @property
-    def ended_failed_tries(self) -> int:
-        """Number of failed tries that have ended: one that goes on may still move its joint."""
-        present = [state.current for state in self._states.values()]
-        return sum(each.failed and each not in present for each in self.tries)
+    def sequence(self, *, ended: bool = False) -> tuple[tuple[int, int, bool], ...]:
+        """Returns joint, direction and failure of each try; with ``ended`` without a failed one that goes on."""
+        present = [state.current for state in self._states.values()] if ended else []
+        tries = [each for each in self.tries if not (each.failed and each in present)]
+        return tuple([(each.joint, each.direction, each.failed) for each in tries])
 
     def at_rest(self) -> frozenset[str]:
         """Returns the joints that no try moves and that do not need the arm to stay: at zero, or without contact."""
@@ -222,6 +217,6 @@ class KeyFrameLabeler:
             self.labels = KeyFrameLabels(
                 longest.joint, longest.failed, progress, self._failed, longest.direction, number
             )
-        self._positions, self._failed = dict(positions), tracker.failed_tries
+        self._positions, self._failed = dict(positions), sum(each.failed for each in tracker.tries)
         self._ticks = ticks
         return self.labels

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from envs_helpers import SMALL
+from envs_helpers import SMALL, stay
 
 from lerobot_adamanip.contract.keyframes import Phase
 from lerobot_adamanip.contract.rotations import pose_vector, straight_path
 from lerobot_adamanip.episode.options import BEST, TIME_LIMIT, TOO_MANY_TRIES
 from lerobot_adamanip.episode.rollout import rollout
+from lerobot_adamanip.episode.tries import Try
 from lerobot_adamanip.evaluation.metrics import within_best_tries
 from lerobot_adamanip.evaluation.record import EpisodeRecord
 from lerobot_adamanip.experts import KeyFrames, make_expert
@@ -126,3 +127,17 @@ def test_a_late_start_that_runs_out_of_time_says_so() -> None:
     result = rollout(env, env.observe(), trying(env, [1, 1, 1, 1]))
     assert (result.success, result.key_frames, result.reason) == (False, 2, TIME_LIMIT)
     env.close()
+
+
+@pytest.mark.parametrize(
+    ("fails", "limit"), [((True,), TOO_MANY_TRIES), ((False, True), ""), ((True, False), TOO_MANY_TRIES)]
+)
+def test_a_pull_that_stalls_at_a_part_that_has_given_way_ends_nothing(
+    lamp: Any, fails: tuple[bool, ...], limit: str
+) -> None:
+    env = lamp(0)
+    env.reset(seed=3)
+    env._task.simulation.tries.tries = [Try(0, 1, failed=each) for each in fails]
+    *_, info = env.step(stay(env))
+    assert info["limit"] == limit
+    assert bool(limit) == (EpisodeRecord.from_json(env.episode_record()).failed_tries > 0)

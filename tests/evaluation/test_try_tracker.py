@@ -65,7 +65,7 @@ def test_a_failed_try_that_has_ended_stays_counted_during_an_equal_one(world: Wo
     counts = []
     for _ in range(6):
         world.blocked("door", ticks=1)
-        counts.append(world.tracker.ended_failed_tries)
+        counts.append(len(world.tracker.sequence(ended=True)))
     assert counts == [1] * 6
 
 
