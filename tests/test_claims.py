@@ -331,28 +331,15 @@ def test_the_readme_says_how_hard_a_row_is() -> None:
 
 def test_scenes_that_are_played_again_are_counted_as_said() -> None:
     report, text = REPORTS["again"], DOCUMENTS["docs/tracks.md"]
-    each, kept, removed = "dp3_adaptive_corrected", "dp3_adaptive_remembering", "dp3_adaptive_corrected_without_memory"
-    titles = {"memory of each episode": each, "memory kept over three": kept, "memory removed": removed}
-    for title, method in titles.items():
+    each, removed = "dp3_adaptive_corrected", "dp3_adaptive_corrected_without_memory"
+    for title, method in {"memory of each episode": each, "memory removed": removed}.items():
         turns = [f"{percent_text(opened.rate)}, {show(tries)}" for opened, tries in report.by_turn(method, "unseen")]
         assert f"| {title} | {' | '.join(turns)} |" in text
-    for pair, words in (
-        ((each, removed), "Within an episode the memory is worth"),
-        ((kept, each), "over episodes it is worth"),
-    ):
+    for pair, words in (((each, removed), "Within an episode the memory is worth"),):
         difference = report.paired(pair, report.categories, "unseen", OPENED)
         assert difference is not None
         values = (100 * value for value in (difference.difference, difference.low, difference.high))
         assert "{} {:+.0f} points [{:+.0f}, {:+.0f}]".format(words, *values) in text
-    second = {
-        (method, category): sum(
-            map(int, report.entries[method, category, "unseen"].results[0].rows[0].scene_tries[1::3])
-        )
-        for method in (each, kept)
-        for category in report.categories
-    }
-    assert f"30 second episodes fall from {second[each, 'lamp']} to {second[kept, 'lamp']}." in text
-    assert [name for name in report.categories if second[kept, name] < second[each, name] / 3] == ["lamp"]
 
 
 def test_the_twin_opens_what_the_evaluation_opened() -> None:

@@ -99,6 +99,8 @@ def test_json_holds_every_option() -> None:
         ({"action": "joint"}, "--env.control=dense"),
         ({"fps": 25}, "--env.control=dense"),
         ({"control": "dense", "self_calibration": True}, "--env.observe_cloud=true"),
+        ({"control": "dense", "sensing": "exact,camera_error_mm=20"}, "change clouds alone"),
+        ({"control": "dense", "sensing": "d435", "fps": 5}, "change clouds alone"),  # no picture is a step late
         # Of another type than annotated: Python checks none, and text is true, or a list of letters.
         ({"observe_images": "false"}, "bool | None"),
         ({"self_calibration": "false"}, "self_calibration=False"),

@@ -81,6 +81,7 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
     _require_workspace(policy, path, environment)
     _require_control(policy, path, environment)
     _require_text(path, environment)
+    _require_repeats(policy, environment)
     offered = env_to_policy_features(environment)
     for name, feature in (policy.input_features or {}).items():
         if name == POINT_CLOUD and name in offered and hasattr(policy, "num_points"):
@@ -142,6 +143,19 @@ def _require_text(path: str, environment: AdaManipEnvConfig) -> None:
             got=f"memory={environment.memory}",
             allowed=f"memory={memory}, as {path} was trained",
             hint=f"--env.memory={memory}",
+        )
+
+
+def _require_repeats(policy: Any, environment: AdaManipEnvConfig) -> None:
+    """Refuses a memory that is kept over episodes of different scenes."""
+    given = str(parser.parse_arg("policy.memory_episodes") or getattr(policy, "memory_episodes", 1))
+    kept = int(given) if given.isdecimal() and len(given) < 10 else 1  # the policy refuses what is no number
+    if kept > 1 and environment.repeats % kept:
+        raise ConfigurationError(
+            "The policy keeps its memory over episodes that play different scenes.",
+            got=f"memory_episodes={kept} with repeats={environment.repeats}",
+            allowed="repeats that memory_episodes divides",
+            hint=f"--env.repeats={kept} --eval.batch_size=1",
         )
 
 

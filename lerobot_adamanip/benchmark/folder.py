@@ -98,11 +98,13 @@ class BenchmarkFolder:
     def resumable(self, step: Step) -> tuple[int, Path] | None:
         """Returns the newest checkpoint of a training that can be read: its steps and its configuration.
 
-        A checkpoint may be half written until LeRobot links to it; for a moment there is no link.
+        A checkpoint may be half written until LeRobot links to it. It removes the link for a moment then: without a
+        link, all are complete if there are several, and perhaps not the only one.
         """
         last = last_checkpoint(self.product(step)).parent
-        newest = last.resolve().name if last.exists() else ""
-        for folder in sorted(last.parent.glob("[0-9]*"), reverse=True):
+        folders = sorted(last.parent.glob("[0-9]*"), reverse=True)
+        newest = last.resolve().name if last.exists() else folders[0].name if len(folders) > 1 else ""
+        for folder in folders:
             weights, state = folder / "pretrained_model", folder / "training_state"
             is_whole = _are_readable(weights, *_POLICY_FILES) and _are_readable(state, "training_step.json")
             if is_whole and folder.name <= newest:

@@ -64,7 +64,7 @@ In a checkout without changes:
 for scale in {" ".join(SCALES)}; do
     adamanip benchmark --config results/leaderboard/NAME/{DECLARATION} --scale $scale --methods mine --seeds {SEED}
     mkdir -p results/leaderboard/NAME/$scale
-    cp outputs/benchmark/$scale/cells/mine-*.json results/leaderboard/NAME/$scale
+    cp outputs/benchmark/$scale/cells/mine-*-1000.json results/leaderboard/NAME/$scale
 done
 python scripts/make_results.py # writes this page; refuses entries with missing cells or changed scenes
 ```
@@ -156,7 +156,7 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
             yield f"{scale}: no cell is declared for {name}"
         found = {cell_of(one): one for one in results[scale] if one.run}
         if foreign := len(results[scale]) - len(found.keys() & wanted):
-            yield f"{scale}: {foreign} files that are no result of a declared cell"
+            yield f"{scale}: {foreign} files that are no result of a declared cell with seed {SEED}"
         if missing := sorted(cell.name for cell in wanted - found.keys()):
             yield f"{scale}: {len(missing)} of {len(wanted)} cells are missing, such as {missing[0]}"
         for cell in sorted(found.keys() & wanted, key=str):

@@ -265,6 +265,9 @@ class BenchmarkRun:
         end = self.origin_now()
         is_changed = origin.changed or end.changed or origin.commit != end.commit
         self.folder.finish(step, time.perf_counter() - begin, machine, replace(end, changed=is_changed))
+        if not self.folder.is_done(step):
+            product = self.folder.product(step).relative_to(self.folder.root)
+            self._failed[step.key] = f"{program} has not written what the next steps read: {product}"
 
     @property
     def _cores_of_a_job(self) -> int:

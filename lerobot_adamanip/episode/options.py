@@ -75,7 +75,7 @@ class EnvironmentOptions:
         max_key_frames: per episode.
         max_failed_tries: maximum failed tries; the next failed try ends the episode. A number, `BEST`, or None.
         hints: share of episodes whose instruction says what is hidden, 0 ... 1; see `episode.hints`.
-        repeats: number of episodes in a row that play one scene, if their seeds follow each other.
+        repeats: number of episodes in a row that play one scene, if their seeds follow each other or are not given.
         hidden_overrides: fixed hidden values, ``{"locked": True}``, for evaluation and tests.
         split: split of the scenes, see `contract.seeds.SPLITS`; a seed outside it is mapped into it.
         seed_offset: added to seeds, so that the categories of a suite have different scenes.
@@ -231,13 +231,22 @@ class EnvironmentOptions:
                     allowed=f"{name}={default!r}, or control={DENSE}",
                     hint=f"--env.control={DENSE}",
                 )
-        if self.self_calibration and not self.observes_cloud:
-            raise ConfigurationError(
-                "Self-calibration corrects clouds, but none is observed.",
-                got="self_calibration=True with control=dense and observe_cloud=False",
-                allowed="self-calibration with observe_cloud=True",
-                hint="--env.observe_cloud=true",
-            )
+        if self.observes_cloud:
+            return
+        errors = parse_sensing(self.sensing)
+        changes_more = errors.steps_late(self.fps) or (self.observes_effort and errors.effort_noise_nm)
+        if self.self_calibration:
+            without, got = "Self-calibration corrects clouds", "self_calibration=True"
+        elif self.sensing != EXACT and not changes_more:
+            without, got = "These errors of sensors change clouds alone", f"sensing={self.sensing!r}"
+        else:
+            return
+        raise ConfigurationError(
+            f"{without}, but none is observed.",
+            got=f"{got} with control={DENSE} and observe_cloud=False",
+            allowed=f"observe_cloud=True, or self_calibration=False and sensing={EXACT!r}",
+            hint="--env.observe_cloud=true",
+        )
 
     @property
     def is_dense(self) -> bool:

@@ -60,7 +60,7 @@ class FakeRunner:
 
     Attributes:
         called: command lines, as given.
-        failing: program that fails.
+        failing: program that does nothing and ends with ``status``.
         threads: that each was given.
         processes: that were begun.
         most_at_once: of them.
@@ -68,7 +68,7 @@ class FakeRunner:
 
     def __init__(self, folder: Path, *, pause: float = 0.0, die: str = "") -> None:
         self.called: list[list[str]] = []
-        self.failing = ""
+        self.failing, self.status = "", FAILED
         self.threads: list[int] = []
         self.processes: list[subprocess.Popen[bytes]] = []
         self.most_at_once = 0
@@ -84,7 +84,7 @@ class FakeRunner:
         self.threads.append(threads)
         line = [sys.executable, "-I", "-S", str(FAKE), str(self._templates), *command]
         if command[0] == self.failing:
-            line = ["sh", "-c", f"exit {FAILED}"]
+            line = ["sh", "-c", f"exit {self.status}"]
         with log.open("ab") as said:
             process = subprocess.Popen(
                 line, cwd=folder, env=self._environment, stdout=said, stderr=said, pass_fds=(lock,)

@@ -200,8 +200,9 @@ def wait_for_the_orphan(root: Path) -> None:
         "collect:1", "collect:5", "evaluate:1", "evaluate:4",
         "train:2",  # before it has a checkpoint
         "train:5",  # half of one
-        "train:7",  # without a link to the last one
-        "train:9", "train:14", "train:20",
+        "train:7",  # without a link to its only one
+        "train:9", "train:14",  # without a link to one of several
+        "train:20",  # after the last one, without a link: nothing is left to do
     ],
 )  # fmt: skip
 def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, Any], moment: str) -> None:
@@ -212,7 +213,7 @@ def test_a_death_in_any_step_changes_no_result(tmp_path: Path, whole: dict[str, 
     run_all(benchmark(root, runner))
     assert results(root) == whole
     resumed = [command for command in runner.called if "--resume=true" in command]
-    assert len(resumed) == (moment == "train:9"), "from its last checkpoint, if there is a link to one"
+    assert len(resumed) == (moment in ("train:9", "train:14")), "from its last whole checkpoint"
     step = moment.partition(":")[0]
     begun = [json.loads(path.read_text())["begun"] for path in (root / "steps").glob(f"{step}-*.json")]
     assert sorted(begun)[-2:] == [1, 2], "it was killed in that step"
@@ -313,12 +314,18 @@ def test_what_is_not_available_is_left_out_with_its_reason(tmp_path: Path) -> No
     assert len(results(tmp_path / "out")) == 4
 
 
-def test_a_step_that_fails_is_tried_once_and_keeps_no_other_cell_from_running(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("status", "reason"),
+    [(7, "ended with status 7: steps/train-"), (0, "has not written what the next steps read: trainings/")],
+)
+def test_a_step_that_fails_is_tried_once_and_keeps_no_other_cell_from_running(
+    tmp_path: Path, status: int, reason: str
+) -> None:
     runner = FakeRunner(tmp_path)
-    runner.failing = "lerobot-train"
+    runner.failing, runner.status = "lerobot-train", status
     states = run_all(benchmark(tmp_path / "out", runner))
     assert [each.state for each in states] == ["done"] * 2 + ["failed"] * 4
-    assert states[2].reason.startswith("lerobot-train ended with status 7: steps/train-")
+    assert states[2].reason.startswith(f"lerobot-train {reason}")
     assert runner.programs.count("lerobot-train") == 2
     runner.failing = ""
     assert {each.state for each in run_all(benchmark(tmp_path / "out", runner))} == {"done"}

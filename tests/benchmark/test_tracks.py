@@ -80,7 +80,7 @@ def test_rules_of_a_scale_are_those_of_its_demonstrations_and_evaluations(scale:
 def test_hints_and_repeats_reach_the_commands() -> None:
     steps = chain("hints", "dp3_adaptive_told", "door")
     assert (options(steps[0])["--hints"], options(steps[-1])["--env.hints"]) == ("0.5", "0.5")
-    kept = options(chain("again", "dp3_adaptive_remembering", "door")[-1])
+    kept = options(chain("again", "dp3_adaptive_over_episodes", "door")[-1])
     assert kept["--env.repeats"] == kept["--policy.memory_episodes"] == "3"
     assert kept["--eval.batch_size"] == "1"
     assert int(kept["--eval.n_episodes"]) % 3 == 0

@@ -117,6 +117,15 @@ def test_a_policy_of_another_workspace_is_refused(tmp_path: Path, monkeypatch: p
     require_fitting_policy(default, ["safe"])
 
 
+def test_a_memory_over_episodes_needs_scenes_that_are_played_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = "--policy.memory_episodes=3"
+    with pytest.raises(ConfigurationError, match=r"(?s)different scenes.*repeats=1.*--env\.repeats=3"):
+        evaluate(monkeypatch, CHECKPOINT, "adamanip_safe", kept)
+    for repeats in (3, 6):
+        evaluate(monkeypatch, CHECKPOINT, "adamanip_safe", kept, repeats=repeats)
+    evaluate(monkeypatch, CHECKPOINT, repeats=2)  # no memory is kept
+
+
 def test_a_memory_in_the_instruction_must_be_that_of_the_training(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -47,11 +47,10 @@ WRONG: dict[str, list[dict[str, Any]]] = {
         {"inference": Inference(temperature=0.0)}, {"inference": Inference(latest_events=-1)},
         {"n_action_history_steps": -1}, {"n_action_steps": 0}, {"augmentation_mirror": 1.5},
         {"augmentation_earlier_episodes": -0.1}, {"augmentation_earlier_episodes": 0.5, "preset": "dense"},
-        {"augmentation_earlier_episodes": 0.5, "n_action_history_steps": 0},
         {"n_obs_steps": 2, "preset": "keyframe"}, {"preset": "nonsense"}, {"use_feedback": "false"},
         {"num_points": "64"}, {"optimizer_lr": "small"}, {"inference": Inference(memory="false")},  # type: ignore[arg-type]
-        {"memory_episodes": 3, "preset": "dp3"},  # it remembers nothing
-        {"memory_episodes": 3, "preset": "paper"}, {"memory_episodes": 3, "n_action_history_steps": 0},
+        *({"memory_episodes": 3, "preset": preset} for preset in ("dense", "dp3", "paper")),
+        {"memory_episodes": 3, "n_action_history_steps": 0},
         {"inference": Inference(no_repeat=True), "n_action_history_steps": 0},
         *({**wrong, "preset": preset} for preset in ("dense", "dp3") for wrong in WRONG_UNET),
     ],

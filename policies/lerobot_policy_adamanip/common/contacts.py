@@ -101,16 +101,15 @@ class Past:
         """Returns a row (B, H, 16) per key frame, zero where invalid; without ``feedback``, zero for the arm's result.
 
         A row is the commanded motion, the undone one (each in its units), the reached gripper opening, and validity.
-        At the end of an earlier episode all but validity are zero.
+        The last command of an earlier episode has no result: what was undone and reached are zero.
         """
         commanded, undone = self.motions
         reached = self.poses[:, 1:, GRIPPER_DIM:]
         undone = torch.cat([undone[..., :6], undone[..., 6:] - reached], dim=-1)
         outcome = torch.cat([undone / constant(UNDONE_UNITS, undone), reached], dim=-1)
-        outcome = outcome if feedback else torch.zeros_like(outcome)
-        commanded = commanded / constant(MOTION_UNITS, commanded)
-        rows = torch.cat([commanded, outcome], dim=-1).masked_fill(self.ends[..., None], 0.0)
-        rows = torch.cat([rows, torch.ones_like(commanded[..., :1])], dim=-1)
+        outcome = outcome.masked_fill(self.ends[..., None], 0.0) if feedback else torch.zeros_like(outcome)
+        rows = torch.cat([commanded / constant(MOTION_UNITS, commanded), outcome], dim=-1)
+        rows = torch.cat([rows, torch.ones_like(rows[..., :1])], dim=-1)
         return rows.clamp(-EVENT_RANGE, EVENT_RANGE).masked_fill(~self.valid[..., None], 0.0)
 
 

@@ -311,14 +311,12 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
                 raise self._error("Not a share.", [name], "0 to 1", f"--policy.{name}=0.5")
 
     def _check_history(self) -> None:
-        remembers = self.method.frame == "tool" and self.n_action_history_steps > 0
+        remembers = self.method.has_anchors and self.n_action_history_steps > 0
         if self.memory_episodes < 1 or (self.memory_episodes > 1 and not remembers):
-            allowed = "1 or more; 1 without a history of actions, and with presets dp3 and paper"
+            allowed = "1 or more; 1 without a history of actions, and with other presets than keyframe"
             raise self._error("Not a number of episodes.", ["memory_episodes"], allowed, "--policy.memory_episodes=3")
-        has_events = self.method.has_anchors and self.n_action_history_steps > 0
-        if self.augmentation_earlier_episodes and not has_events:
-            allowed = "0 without a history of actions, and with other presets than keyframe"
-            name = "augmentation_earlier_episodes"
+        if self.augmentation_earlier_episodes and not self.method.has_anchors:
+            allowed, name = "0 with other presets than keyframe", "augmentation_earlier_episodes"
             raise self._error("No memory over episodes is trained.", [name], allowed, f"--policy.{name}=0")
         if self.inference.no_repeat and not self.n_action_history_steps:
             raise self._error(

@@ -124,8 +124,8 @@ class DP3AdaptivePolicy(CloudPolicy):
         self.match_clouds(dataset_meta, is_trained=is_trained)
         self.match_control(dataset_meta, is_trained=is_trained)
         self.recorded, config = inputs.read_recorded_rows(dataset_meta, has_strokes=self._has_strokes), self.config
-        if config.augmentation_earlier_episodes:
-            self._earlier = EarlierEpisodes(dataset_meta, config.augmentation_earlier_episodes)
+        if share := config.augmentation_earlier_episodes:
+            self._earlier = EarlierEpisodes(dataset_meta, share, config.n_action_history_steps)
         stats = dataset_meta.stats
         if config.has_pose_layout and stats:
             stats = schema.fix_pose_statistics(stats)
@@ -260,7 +260,7 @@ class DP3AdaptivePolicy(CloudPolicy):
         self._episodes += self._episodes == 0 or self._has_acted
         self._has_acted = False
         if 1 < self._episodes <= self.config.memory_episodes:
-            # The result of the last action was not observed, so it is no try.
+            # The result of the last action was not observed, so it is no try, but an event of its own kind.
             self._executed[-1] = self._executed[-1].clone()
             self._executed[-1][:, schema.GRIPPER_DIM] = END
             return

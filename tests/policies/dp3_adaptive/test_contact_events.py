@@ -98,7 +98,8 @@ def test_the_end_of_an_earlier_episode_is_read_and_is_no_try() -> None:
     assert past.ends[0].tolist() == [False, False, True, False]
     assert not Past(commands, poses, torch.zeros_like(valid)).ends.any()
     rows, others = past.events()[0], torch.tensor([0, 1, 3])
-    assert rows[2].tolist() == [0.0] * (EVENT_DIM - 1) + [1.0]
+    assert torch.equal(rows[2, :6], before.events()[0][2, :6]), "what was commanded is known"
+    assert rows[2, 6:].tolist() == [END] + [0.0] * (EVENT_DIM - 8) + [1.0], "what came of it is not"
     assert torch.equal(rows[others], before.events()[0][others])
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -11,7 +12,9 @@ import torch
 
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
+from lerobot_policy_adamanip.common import earlier_episodes
 from lerobot_policy_adamanip.common.earlier_episodes import EarlierEpisodes
+from lerobot_policy_adamanip.common.inputs import read_columns
 
 MakeTiny = Callable[..., tuple[Any, ...]]
 STEPS = 12
@@ -87,19 +90,55 @@ def test_what_is_demonstrated_before_a_failed_try_is_no_label_for_who_remembers(
             assert longer[step] == (alone[step] and not (remembers and any(fails[step:]))), (number, step)
 
 
+def continued_at_the_start(policy: Any, meta: Any, episodes: list[range]) -> tuple[set[tuple[int, int]], set[int]]:
+    """Pairs of an episode and one that its first row remembers, and the rows where an earlier episode ended."""
+    earlier, of_row = EarlierEpisodes(meta, 1.0, STEPS), {}
+    for number, rows in enumerate(episodes):
+        of_row |= dict.fromkeys(rows, number)
+    taken, ended = set(), set()
+    for _ in range(40):
+        for number, rows in enumerate(episodes):
+            present = policy.recorded.rows(torch.tensor([rows[0]]))
+            before, valid = policy.recorded.around(present, range(-STEPS, 0))
+            before, valid, is_last, _ = earlier.continued(present, before, valid)
+            taken |= {(number, of_row[int(row)]) for row in before[valid]}
+            ended |= {int(row) for row in before[is_last]}
+    return taken, ended
+
+
 def test_only_episodes_with_the_same_hidden_values_are_remembered(made: Any) -> None:
     policy, _, _, dataset = made
-    earlier, starts = EarlierEpisodes(dataset.meta, 1.0), {}
-    for number in range(dataset.meta.total_episodes):
-        starts |= dict.fromkeys(rows_of(dataset, number), number)
-    remembered = set()
-    for _ in range(40):
-        for number in range(dataset.meta.total_episodes):
-            present = policy.recorded.rows(torch.tensor([rows_of(dataset, number)[0]]))
-            before, valid = policy.recorded.around(present, range(-STEPS, 0))
-            rows, valid, *_ = earlier.continued(present, before, valid)
-            remembered |= {(number, starts[int(row)]) for row in rows[valid]}
-    assert remembered == set(pairs(dataset))
+    episodes = [rows_of(dataset, number) for number in range(dataset.meta.total_episodes)]
+    assert continued_at_the_start(policy, dataset.meta, episodes)[0] == set(pairs(dataset))
+
+
+def test_an_earlier_episode_ends_with_the_command_that_succeeds_as_a_run_does(
+    made: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policy, _, _, dataset = made
+    episodes = [rows_of(dataset, number) for number in range(dataset.meta.total_episodes)]
+
+    def read(*args: Any) -> Any:
+        columns = read_columns(*args)
+        for rows in episodes:  # a demonstration goes on: two more commands, and the final observation
+            columns[schema.SUCCESS][rows[-4] : rows[-1] + 1] = True
+        return columns
+
+    monkeypatch.setattr(earlier_episodes, "read_columns", read)
+    _, ended = continued_at_the_start(policy, dataset.meta, episodes)
+    assert ended == {episodes[other][-4] for _, other in pairs(dataset)}
+
+
+def test_what_starts_amid_the_task_continues_no_other_episode(made: Any) -> None:
+    policy, _, _, dataset = made
+    episodes = [rows_of(dataset, number) for number in range(dataset.meta.total_episodes)]
+    late, other = next(pairs(dataset))
+
+    changed = [{**each, "late": number == late} for number, each in enumerate(dataset.meta.episodes)]
+    meta = SimpleNamespace(root=dataset.meta.root, features=dataset.meta.features, episodes=changed)
+    taken, _ = continued_at_the_start(policy, meta, episodes)
+    assert late not in {present for present, _ in taken}
+    assert (other, late) in taken
 
 
 def test_demonstrations_without_hidden_values_are_refused(made: Any) -> None:
@@ -110,4 +149,9 @@ def test_demonstrations_without_hidden_values_are_refused(made: Any) -> None:
         episodes = [{"object_id": "bottle_000"}] * dataset.meta.total_episodes
 
     with pytest.raises(ConfigurationError, match="do not say what was hidden"):
-        EarlierEpisodes(Unknown, 1.0)
+        EarlierEpisodes(Unknown, 1.0, STEPS)
+
+
+def test_a_policy_that_remembers_nothing_is_not_trained_so(make_tiny: MakeTiny) -> None:
+    with pytest.raises(ConfigurationError, match="remembers no episode"):
+        make_tiny(preset="keyframe", n_action_history_steps=0, augmentation_earlier_episodes=0.5)
