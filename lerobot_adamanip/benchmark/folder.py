@@ -98,12 +98,14 @@ class BenchmarkFolder:
     def resumable(self, step: Step) -> tuple[int, Path] | None:
         """Returns the newest checkpoint of a training that can be read: its steps and its configuration.
 
-        A checkpoint may be half written until LeRobot links to it. It removes the link for a moment then: without a
-        link, all are complete if there are several, and perhaps not the only one.
+        A checkpoint may be half written until LeRobot links to it. To do so it first removes its link to the one
+        before: without a link, the only one may be half written, several are not, and the newest is linked to again.
         """
         last = last_checkpoint(self.product(step)).parent
         folders = sorted(last.parent.glob("[0-9]*"), reverse=True)
-        newest = last.resolve().name if last.exists() else folders[0].name if len(folders) > 1 else ""
+        if len(folders) > 1 and not last.is_symlink():
+            last.symlink_to(folders[0].name)
+        newest = last.resolve().name if last.exists() else ""
         for folder in folders:
             weights, state = folder / "pretrained_model", folder / "training_state"
             is_whole = _are_readable(weights, *_POLICY_FILES) and _are_readable(state, "training_step.json")
