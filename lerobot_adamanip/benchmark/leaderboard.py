@@ -64,7 +64,7 @@ In a checkout without changes:
 for scale in {" ".join(SCALES)}; do
     adamanip benchmark --config results/leaderboard/NAME/{DECLARATION} --scale $scale --methods mine --seeds {SEED}
     mkdir -p results/leaderboard/NAME/$scale
-    cp outputs/benchmark/$scale/cells/mine-*-1000.json results/leaderboard/NAME/$scale
+    cp outputs/benchmark/$scale/cells/mine-*-{SEED}.json results/leaderboard/NAME/$scale
 done
 python scripts/make_results.py # writes this page; refuses entries with missing cells or changed scenes
 ```
