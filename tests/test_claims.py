@@ -302,6 +302,17 @@ def test_tracks_are_measured_as_said(scale: str, objects: str, method: str) -> N
     assert row in DOCUMENTS["docs/tracks.md"]
 
 
+def test_self_calibration_adds_to_real_sensors_what_is_said() -> None:
+    report, said = REPORTS["real_sensors"], []
+    for objects in ("unseen", "novel"):
+        pair = "dp3_adaptive_calibrated", "dp3_adaptive_corrected"
+        difference = report.paired(pair, report.categories, objects, WITHIN_TRIES)
+        assert difference is not None
+        said.append([round(100 * each) for each in (difference.difference, difference.low, difference.high)])
+    text = "adds {:+d} points [{:+d}, {:+d}] to `real_sensors` on unseen objects, ".format(*said[0])
+    assert text + "and {:+d} [{:+d}, {:+d}] on novel ones".format(*said[1]) in DOCUMENTS["docs/tracks.md"]
+
+
 def test_failures_in_a_row_are_counted_as_said() -> None:
     report = REPORTS["row"]
     rows = {name: report.entries["dp3_adaptive", name, "unseen"].metrics for name in report.categories}
