@@ -78,7 +78,8 @@ def summary(report: BenchmarkReport, methods: Collection[str]) -> str:
     number = counted(report.results[0].rows[0].metrics.success.episodes, "scene")
     explanation = (
         f"Means over {len(report.categories)} categories, {number} of each, {report.scenes} scenes. A category's "
-        f"number is over all its trainings, which see the same scenes. *Within*: {_WITHIN_TITLE}."
+        f"number is over all its trainings, which see the same scenes. *Within*: {_WITHIN_TITLE}: "
+        "after at most 0, 1 or 2 failed ones, by category."
     )
     return "\n\n".join(filter(None, (markdown_table(titles, rows), explanation, _meanings(report))))
 
