@@ -155,3 +155,10 @@ def test_demonstrations_without_hidden_values_are_refused(made: Any) -> None:
 def test_a_policy_that_remembers_nothing_is_not_trained_so(make_tiny: MakeTiny) -> None:
     with pytest.raises(ConfigurationError, match="remembers no episode"):
         make_tiny(preset="keyframe", n_action_history_steps=0, augmentation_earlier_episodes=0.5)
+
+
+def test_external_assets_of_one_category_remember_each_other() -> None:
+    def named(asset: str) -> str:
+        return earlier_episodes._hidden_values({"object_id": asset, "hidden_state": '{"direction": 1}'})
+
+    assert named("safe:a_1") == named("safe:b") != named("window:b")
