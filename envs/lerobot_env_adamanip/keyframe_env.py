@@ -158,7 +158,7 @@ class RunningEpisode:
         return success, self.end is not None and not success
 
     def record(self, *, ended: bool = False) -> EpisodeRecord:
-        """Returns the record of the episode so far; with ``ended`` without a failed try that goes on."""
+        """Returns the record of the episode so far. ``ended`` leaves out a failed try that has not ended yet."""
         simulation = self.task.simulation
         object_id = simulation.obj.object_id
         return EpisodeRecord(

@@ -180,7 +180,7 @@ class EnvironmentOptions:
                 allowed="a first seed and an end above it",
                 hint="--env.logged_seeds='[1000,1100]' for --seed=1000 --eval.n_episodes=100",
             )
-        if self.episode_log is not None and (self.episode_log == "" or Path(self.episode_log).is_dir()):
+        if self.episode_log is not None and Path(self.episode_log).is_dir():  # an empty path is this folder
             allowed, hint = "the path of a file, or None for no log", "--env.episode_log=outputs/episodes.jsonl"
             got = repr(self.episode_log)
             raise ConfigurationError("The episode log is not a file's path.", got=got, allowed=allowed, hint=hint)

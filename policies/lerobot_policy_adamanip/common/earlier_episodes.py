@@ -1,9 +1,9 @@
 """Training of a memory that is kept over episodes: histories that begin in another episode.
 
 At run time ``memory_episodes`` keeps the history while one scene is played again. No demonstration shows that. So in
-training some histories are continued into the past, by another episode with the same hidden values, ranges aside. It
-ends with the command that opened the part, as a run does; a demonstration goes on. Rows up to the last failed try of
-the present episode are then not labels: a policy that remembers the earlier episode should not make that try.
+training some histories are continued into the past, by another episode with the same hidden values, ranges aside. A
+run ends when the part opens, so the other episode is used up to the command that opened it. Rows up to the last failed
+try of the present episode are then not labels: a policy that remembers the other one should not make that try.
 """
 
 from __future__ import annotations

@@ -120,7 +120,7 @@ def test_an_earlier_episode_ends_with_the_command_that_succeeds_as_a_run_does(
 
     def read(*args: Any) -> Any:
         columns = read_columns(*args)
-        for rows in episodes:  # a demonstration goes on: two more commands, and the final observation
+        for rows in episodes:  # two commands and the final observation follow the success
             columns[schema.SUCCESS][rows[-4] : rows[-1] + 1] = True
         return columns
 
