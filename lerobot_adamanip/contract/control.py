@@ -26,7 +26,7 @@ ACTION_NAMES = {
 """Kind of dense action -> names of its numbers. `lerobot-rollout` drops names that do not end in ``.pos`` or ``.vel``.
 
 ``ee_delta``: translation and rotation vector from the *measured* tool pose, along the robot base's axes, in units of
-    `DELTA_POSITION` and `DELTA_ROTATION`, clipped to +-1; gripper -1 closed ... 1 open. This is the convention of
+    `DELTA_POSITION` and `DELTA_ROTATION`, clipped to +-1; gripper -1 closed ... 1 open. This is the layout of
     ManiSkill's ``pd_ee_delta_pose`` and of LIBERO's relative mode (whose gripper has the opposite sign).
 ``ee_pose``: the contract's pose, as in key frames and on the robot.
 ``joint``: positions of the arm's joints [rad], gripper 0 closed ... 1 open.
