@@ -80,6 +80,7 @@ def test_json_holds_every_option() -> None:
         ({"objects": "9:3"}, "9:3"),
         ({"num_points": -1}, "-1"),
         ({"image_size": 8}, "16 ... 2048"),
+        ({"image_size": 33}, "even"),  # no video has an odd size
         ({"poses": "paper"}, "fixed, randomized"),
         ({"mechanism_rules": "mine"}, "mine"),
         ({"max_key_frames": 0}, "key frames"),
@@ -99,8 +100,9 @@ def test_json_holds_every_option() -> None:
         ({"action": "joint"}, "--env.control=dense"),
         ({"fps": 25}, "--env.control=dense"),
         ({"control": "dense", "self_calibration": True}, "--env.observe_cloud=true"),
-        ({"control": "dense", "sensing": "exact,camera_error_mm=20"}, "change clouds alone"),
-        ({"control": "dense", "sensing": "d435", "fps": 5}, "change clouds alone"),  # no picture is a step late
+        ({"control": "dense", "sensing": "exact,lost=0.1"}, "change clouds alone"),
+        ({"control": "dense", "sensing": "exact,latency_ms=40"}, "change clouds alone"),  # no picture is a step late
+        ({"control": "dense", "sensing": "d435", "observe_images": False}, "change clouds alone"),
         # Of another type than annotated: Python checks none, and text is true, or a list of letters.
         ({"observe_images": "false"}, "bool | None"),
         ({"self_calibration": "false"}, "self_calibration=False"),
@@ -136,3 +138,9 @@ def test_what_cannot_work_is_one_clear_error(wrong: dict[str, Any], said: str) -
     with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:") as caught:
         EnvironmentOptions(**wrong)
     assert said in str(caught.value)
+
+
+def test_pictures_show_errors_of_the_camera_without_a_cloud() -> None:
+    for sensing, fps in (("exact,camera_error_mm=20", 10), ("d435", 5), ("exact,latency_ms=100", 10)):
+        options = EnvironmentOptions(category="safe", control="dense", sensing=sensing, fps=fps)
+        assert not options.observes_cloud

@@ -124,7 +124,7 @@ class DatasetRecorder(gym.Wrapper[Any, Any, Any, Any]):
         following, reward, terminated, truncated, info = self.env.step(action)
         if self._recorder is not None:
             pose, gripper = pose_from_vector(np.array(action, np.float64))
-            goal = Goal(pose, gripper, cast("Phase", UNLABELLED))
+            goal = Goal(pose, float(np.clip(gripper, 0.0, 1.0)), cast("Phase", UNLABELLED))
             labels = self._env.labels
             # A memory is of the action as it was sent, before its rotation is made orthonormal.
             sent = None if self._env.options.memory == NO_MEMORY else np.array(action, np.float32)

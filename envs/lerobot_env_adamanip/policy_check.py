@@ -7,10 +7,12 @@ command's option ``--policy.path``, as LeRobot's own commands do.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from lerobot.configs import parser
+from lerobot.envs.configs import EnvConfig
 
 from lerobot_adamanip.catalog import category_of
 from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_column
@@ -38,11 +40,27 @@ def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[
     A training with ``--dataset.repo_id`` may continue from a policy of any category.
     """
     path = parser.get_path_arg("policy")
-    if path is None:
-        return
-    if parser.parse_arg("dataset.repo_id") is None:
-        _require_categories(path, categories)
-    _require_shapes(path, environment)
+    if path is not None:
+        is_training = parser.parse_arg("dataset.repo_id") is not None
+        policy = require_fitting_checkpoint(path, environment, () if is_training else categories)
+        _require_repeats(policy, environment)
+
+
+def configuration_of(options: EnvironmentOptions) -> AdaManipEnvConfig:
+    """Returns LeRobot's configuration of environments with these options."""
+    from lerobot.envs.factory import make_env_config
+
+    known = {item.name for item in fields(EnvConfig.get_choice_class(f"adamanip_{options.category}"))}
+    values = {item.name: getattr(options, item.name) for item in fields(options) if item.name in known}
+    corners = {"workspace_lower": options.workspace.lower, "workspace_upper": options.workspace.upper}
+    configuration: AdaManipEnvConfig = make_env_config(f"adamanip_{options.category}", **values, **corners)
+    return configuration
+
+
+def require_fitting_checkpoint(path: str, environment: AdaManipEnvConfig, categories: Sequence[str]) -> Any:
+    """Returns the configuration of a checkpoint that fits these environments, or raises `ConfigurationError`."""
+    _require_categories(path, categories)
+    return _require_shapes(path, environment)
 
 
 def trained_categories(checkpoint: Path) -> tuple[str, ...]:
@@ -72,7 +90,7 @@ def _require_categories(path: str, categories: Sequence[str]) -> None:
         )
 
 
-def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
+def _require_shapes(path: str, environment: AdaManipEnvConfig) -> Any:
     """Compares the inputs of a policy with the features of the environments, which have the same names in datasets."""
     from lerobot.configs import PreTrainedConfig
     from lerobot.envs.utils import env_to_policy_features
@@ -81,7 +99,6 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
     _require_workspace(policy, path, environment)
     _require_control(policy, path, environment)
     _require_text(path, environment)
-    _require_repeats(policy, environment)
     offered = env_to_policy_features(environment)
     for name, feature in (policy.input_features or {}).items():
         if name == POINT_CLOUD and name in offered and hasattr(policy, "num_points"):
@@ -104,6 +121,7 @@ def _require_shapes(path: str, environment: AdaManipEnvConfig) -> None:
                 hint=_remedy(name, trained),
             )
     _require_cameras(policy, path, offered)
+    return policy
 
 
 def _require_control(policy: Any, path: str, environment: AdaManipEnvConfig) -> None:

@@ -20,7 +20,7 @@ from lerobot_adamanip.cli.arguments import (
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
-from lerobot_adamanip.contract.control import DENSE
+from lerobot_adamanip.contract.control import DENSE, EE_POSE, FULL
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.episode.options import DEFAULT_LATE_STARTS, EnvironmentOptions, check_late_starts
@@ -202,6 +202,13 @@ class CollectCommand:
         options = self.options()
         spec = self._with_images(spec)
         require_same_options(self.root, spec)
+        if self.policy is not None:
+            from lerobot_adamanip.collection.trained_policy import register_policies
+            from lerobot_env_adamanip.policy_check import configuration_of, require_fitting_checkpoint
+
+            register_policies()
+            categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
+            require_fitting_checkpoint(str(self.policy), configuration_of(spec.environment), categories)
         announce(spec, self.workers, self.cluster, self.part)
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
@@ -244,6 +251,7 @@ class CollectCommand:
             "with --control dense": () if self.control == DENSE else ("fps", "action", "state", "cloud", "effort"),
             "with --policy": () if self.policy else ("expert_share",),
             "without --part": ("unscaled_poses",) if self.part else (),
+            "with --action ee_pose or --state full": () if self._has_poses() else ("unscaled_poses",),
         }
         require_effects(self, idle)
         categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
@@ -280,6 +288,10 @@ class CollectCommand:
             expert_share=1.0 if self.policy is None else self.expert_share,
             **{name: getattr(self, name) for name in unchanged},
         )
+
+    def _has_poses(self) -> bool:
+        """Whether states or actions are poses."""
+        return self.control != DENSE or self.action == EE_POSE or self.state == FULL
 
     def options(self) -> CollectOptions:
         """Returns the options that do not change the data; raises `ConfigurationError`."""

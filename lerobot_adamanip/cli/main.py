@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, cast
 
 import lerobot_adamanip
 from lerobot_adamanip import NO_PLUGIN
-from lerobot_adamanip.cli.option_names import check_options, unreadable_options
+from lerobot_adamanip.cli.option_names import check_options, in_own_words, unreadable_options
 from lerobot_adamanip.util.account import require_account
 from lerobot_adamanip.util.errors import INSTALL_SIM, AdaManipError, ConfigurationError, SimulatorError, listed, nearest
 from lerobot_adamanip.util.files import full_disk_error
@@ -133,6 +133,9 @@ def execute(name: str, options: Sequence[str]) -> int:
         require_account()
     try:
         return command.run()  # type: ignore[no-any-return]
+    except AdaManipError as error:
+        error.args = (in_own_words(str(error), command),)
+        raise
     except ModuleNotFoundError as error:
         if (error.name or "").partition(".")[0] not in _SIMULATOR_PACKAGES:
             raise  # a bug in our code: the traceback helps

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 from collections.abc import Iterator, Sequence
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -49,6 +50,22 @@ def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
             kind = get_args(kind)[0]
         choices = get_args(kind) if get_origin(kind) is Literal else ()
         yield f"--{'no-' if field.default is True else ''}{name.replace('_', '-')}", choices
+
+
+_OWN = {"observe_cloud=true": "--cloud", "observe_effort=true": "--effort", "observe_images=false": "--no-images"}
+"""Options of LeRobot's commands -> those of `adamanip collect` with other names."""
+
+
+def in_own_words(message: str, command: Any) -> str:
+    """Returns a message with the options of LeRobot's commands, such as ``--env.fps=10``, as this command has them."""
+    names = {field.name for field in dataclasses.fields(command)}
+
+    def own(match: re.Match[str]) -> str:
+        name, value = match[1], match[2].strip("'[]").replace(",", " ") if "[" in match[2] else match[2]
+        option = _OWN.get(f"{name}={value}", f"--{name.replace('_', '-')}" + (f" {value}" if value != "true" else ""))
+        return option if option.split()[0][2:].replace("-", "_") in names else match[0]
+
+    return re.sub(r"--env\.(\w+)=('[^']*'|[\w.,:-]+)", own, message)
 
 
 def unreadable_options(command: str, printed: str) -> ConfigurationError:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from lerobot_adamanip.cli.arguments import DatasetFolder, print_result
+from lerobot_adamanip.cli.arguments import DatasetFolder, print_result, require_suffix
 from lerobot_adamanip.cli.progress import show_progress
 
 if TYPE_CHECKING:
@@ -42,6 +42,8 @@ class ReplayCommand:
 
     def run(self) -> int:
         """Replays and compares. Returns 0 if everything agrees."""
+        if self.out is not None:
+            require_suffix(self.out, (".mp4",), "replay.mp4")
         from lerobot_adamanip.collection.replay import replay
         from lerobot_env_adamanip.make_environment import make_environment
 

@@ -62,6 +62,14 @@ def policy_hash(path: Path) -> str:
     return digest.hexdigest()[:32]
 
 
+def register_policies() -> None:
+    """Registers the policies of LeRobot and of installed plugins."""
+    import lerobot.policies  # noqa: F401
+    from lerobot.utils.import_utils import register_third_party_plugins
+
+    register_third_party_plugins()
+
+
 class TrainedPolicy:
     """Acts as in `lerobot-eval`: same policy, same processors, one environment.
 
@@ -74,12 +82,10 @@ class TrainedPolicy:
     """
 
     def __init__(self, path: Path, device: str = "cpu") -> None:
-        import lerobot.policies  # noqa: F401  (registers LeRobot's own)
         from lerobot.configs.policies import PreTrainedConfig
         from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-        from lerobot.utils.import_utils import register_third_party_plugins
 
-        register_third_party_plugins()
+        register_policies()
         try:
             pipeline_steps(path)
         except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:

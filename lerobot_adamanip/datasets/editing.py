@@ -300,14 +300,15 @@ def _require_each_once(sources: Sequence[Dataset]) -> None:
             "These datasets share episodes, which would appear twice in the new one.",
             got=f"{len(twice)} of them: {', '.join(map(str, twice[:5]))} ({which})",
             allowed="datasets, or parts of one, without a common episode",
-            hint="name each dataset once; for overlapping parts, use one `adamanip filter` that selects both",
+            hint="name each dataset once; for overlapping parts, use one `adamanip filter` that selects both; "
+            "for rounds of corrections, another --seed in each",
         )
 
 
 def _contents(source: Dataset) -> Iterator[_Content]:
     """Yields seed, object, expert, length and statistics of the actions of each simulated episode of an expert.
 
-    Not of a policy: two of them may leave a whole episode of one scene to the expert that corrects them.
+    Corrections of two policies in one scene are equal if the expert drove all of both.
     """
     names = ("seed", "object_id", "expert", "length")
     if not set(names) <= set(source.table.column_names):

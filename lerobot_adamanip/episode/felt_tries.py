@@ -116,7 +116,7 @@ class FeltTries:
         present = self._stroke
         if present is None or self._held_steps is None or present.held < self._held_steps:
             return self._ended
-        return _with(self._ended, present.event())
+        return self._with_stroke(present)
 
     def after(self, before: HandPose, command: HandPose, after: HandPose) -> None:
         """Advances by one step: a command that was sent from a measured hand, and the measured hand after it."""
@@ -147,14 +147,16 @@ class FeltTries:
             self._end()
 
     def _end(self) -> None:
-        stroke, self._stroke = self._stroke, None
-        assert stroke is not None
+        assert self._stroke is not None
+        self._ended, self._stroke = self._with_stroke(self._stroke), None
+
+    def _with_stroke(self, stroke: _Stroke) -> list[FeltEvent]:
+        """Returns the tries with a stroke, unless it moved freely or was too small to be one."""
         event = stroke.event()
         share = _share(event.commanded, event.measured)
         is_free = stroke.start.gripper < EMPTY_HAND and share >= FREE_SHARE
         is_small = self._held_steps is not None and float(np.linalg.norm(event.commanded)) < MIN_STROKE
-        if not (is_free or is_small):
-            self._ended = _with(self._ended, event)
+        return self._ended if is_free or is_small else _with(self._ended, event)
 
 
 @dataclass(frozen=True)

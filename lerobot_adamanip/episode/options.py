@@ -32,7 +32,7 @@ IMAGE_SOURCES = (RAYCAST, RENDER)
 EPISODE_SECONDS = 30
 """Default duration of an episode of dense control [s]."""
 IMAGE_SIZES, KEY_FRAMES, STEPS = (16, 2048), (1, 10_000), (1, 100_000)
-"""Smallest and largest allowed value."""
+"""Smallest and largest allowed value. Sizes of images are even, as videos need."""
 BEST = "best"
 """Value of ``max_failed_tries``: the failed tries that the best blind strategy needs at worst, see the metrics."""
 TIME_LIMIT, TOO_MANY_TRIES = "time limit", "more failed tries than allowed"
@@ -166,7 +166,7 @@ class EnvironmentOptions:
         if self.image_source is not None:
             require_choice("source of images", self.image_source, IMAGE_SOURCES, hint="--env.image_source=raycast")
         check_num_points(self.num_points)
-        _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256")
+        _check_range("image size [px]", self.image_size, IMAGE_SIZES, "--env.image_size=256", step=2)
         _check_range("number of key frames per episode", self.max_key_frames, KEY_FRAMES, "--env.episode_length=45")
         if not 0 <= self.hints <= 1:
             raise ConfigurationError("Wrong share of hints.", got=self.hints, allowed="0 ... 1", hint="--env.hints=0.5")
@@ -234,7 +234,10 @@ class EnvironmentOptions:
         if self.observes_cloud:
             return
         errors = parse_sensing(self.sensing)
-        changes_more = errors.steps_late(self.fps) or (self.observes_effort and errors.effort_noise_nm)
+        changes_picture = errors.camera_error_mm or errors.camera_error_deg or errors.steps_late(self.fps)
+        changes_more = (self.observe_images is not False and changes_picture) or (
+            self.observes_effort and errors.effort_noise_nm
+        )
         if self.self_calibration:
             without, got = "Self-calibration corrects clouds", "self_calibration=True"
         elif self.sensing != EXACT and not changes_more:
@@ -357,7 +360,8 @@ def _check_workspace(box: Workspace) -> None:
         )
 
 
-def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str) -> None:
+def _check_range(what: str, got: int, allowed: tuple[int, int], hint: str, step: int = 1) -> None:
     lowest, highest = allowed
-    if not lowest <= got <= highest:
-        raise ConfigurationError(f"Wrong {what}.", got=got, allowed=f"{lowest} ... {highest}", hint=hint)
+    if got not in range(lowest, highest + 1, step):
+        words = f"{lowest} ... {highest}{', even' if step == 2 else ''}"
+        raise ConfigurationError(f"Wrong {what}.", got=got, allowed=words, hint=hint)

@@ -35,6 +35,10 @@ WRONG = (
     (f"{COLLECT} --effort", "--effort with --control dense"),
     (f"{COLLECT} --control dense --expert-share 0.5", "--expert-share with --policy"),
     (f"{COLLECT} --part 1/2 --unscaled-poses", "--unscaled-poses without --part"),
+    (f"{COLLECT} --control dense --unscaled-poses", "--unscaled-poses with --action ee_pose or --state full"),
+    (f"{COLLECT} --control dense --fps 7", "try:     --fps 10\n"),  # as this command has it, not --env.fps=10
+    (f"{COLLECT} --control dense --self-calibration", "try:     --cloud\n"),
+    (f"{COLLECT} --image-size 33", "try:     --image-size 256\n"),
     (f"{COLLECT} --expert static --trials 2", "--trials with --expert adaptive"),
     (f"{COLLECT} --mechanism-rules row --trials 2", "--trials with --expert adaptive"),
     (f"{COLLECT} --mechanism-rules changing --expert-strategy upstream", "leave out --expert-strategy"),
@@ -50,6 +54,7 @@ WRONG = (
     ("replay", "DIR"),
     ("replay some/absent", "some/absent"),
     ("replay some/absent --episod 1", "--episode"),
+    ("replay dataset --out replay.txt", "allowed: .mp4"),
     ("render some/absent", "some/absent"),
     ("render", "adamanip render --help"),
     ("memory some/absent --out new", "some/absent"),

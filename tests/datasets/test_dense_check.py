@@ -13,9 +13,10 @@ from demos_helpers import InThisProcess
 from dense_episodes import FULL, collect_dense
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.cameras import image_column
 from lerobot_adamanip.contract.control import ACTION_NAMES
 from lerobot_adamanip.datasets.check.dataset import check
-from lerobot_adamanip.datasets.check.features import OF_LEROBOT, check_features
+from lerobot_adamanip.datasets.check.features import OF_LEROBOT, check_features, contract_of
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.util import jobs
@@ -49,7 +50,8 @@ def column(key: str, place: int, value: float, frame: int = 1) -> object:
 DAMAGES = [
     (DELTA, Damage("too large a step", column(schema.ACTION, 2, 1.2), [("limits", DATA, 0, 1)])),
     (DELTA, Damage("gripper beyond", column(schema.ACTION, 6, -1.5), [("limits", DATA, 0, 1)])),
-    (DELTA, Damage("executed beyond", column(schema.EXECUTED, 0, 3.0), [("limits", DATA, 0, 1)])),
+    (DELTA, Damage("executed beyond, as policies send", column(schema.EXECUTED, 0, 3.0),
+                   [("episode-statistics", DATA, 0, None)])),
     (POSE, Damage("no rotation", column(schema.ACTION, 3, 0.5), [("rotation", DATA, 0, 1)])),
     (POSE, Damage("state of no rotation", column(schema.STATE, 4, 0.5), [("rotation", DATA, 0, 1)])),
     (POSE, Damage("point far away", column(schema.POINT_CLOUD, 0, 9.0), [("workspace", DATA, 0, 1)])),
@@ -79,6 +81,14 @@ def test_damage_is_named_and_placed(kind: str, damage: Damage, dense: Mapping[st
     damage.do(root)
     places = {(each.kind, each.file, each.episode, each.frame) for each in check(root).findings}
     assert places == set(damage.found)
+
+
+def test_pictures_may_be_of_any_camera() -> None:
+    assert contract_of(schema.dataset_features(64, 32, cameras=["wrist"]))[image_column("wrist")]["shape"] == (
+        32,
+        32,
+        3,
+    )
 
 
 @pytest.mark.parametrize("key", OF_LEROBOT)

@@ -31,7 +31,8 @@ def short_episode(recorder: DatasetRecorder, env: KeyframeEnv, seed: int, **opti
     actions = []
     for height in (0.0, 0.01):
         actions.append(stay(env) + np.array([0, 0, height, *[0.0] * 6, 0], np.float32))
-        recorder.step(actions[-1] * np.array([*[1] * 3, *[2] * 6, 1], np.float32))  # a network's rotation 6D
+        network = actions[-1] * np.array([*[1] * 3, *[2] * 6, 1], np.float32)  # its rotation 6D and its gripper
+        recorder.step(network + np.array([*[0] * 9, 0.01 * (actions[-1][-1] == 1)], np.float32))
     return actions
 
 

@@ -14,6 +14,7 @@ from lerobot.policies.act.configuration_act import ACTConfig
 from sound_demos import collect_sound
 
 import lerobot_env_adamanip  # noqa: F401  (registers the policies)
+from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_env_adamanip import policy_check
@@ -225,3 +226,22 @@ def test_a_policy_that_pads_states_and_resizes_pictures_keeps_the_shapes_of_its_
     evaluate(monkeypatch, path, **dense, **names)
     with pytest.raises(ConfigurationError, match="other cameras"):
         evaluate(monkeypatch, path, **dense)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("", "--control dense --state pose"),
+        ("--control dense --memory text", "--memory none"),
+        ("--control dense --category lamp", "environments of lamp"),
+    ],
+)
+def test_corrections_are_of_a_policy_that_fits(
+    options: str, said: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = checkpoint(tmp_path / "act", state=8, **DATA, env={"type": "adamanip_safe", "memory": "none"})
+    (path / "model.safetensors").touch()
+    words = ["collect", str(tmp_path / "new"), "--category", "safe", "--no-images", "--policy", str(path)]
+    assert main([*words, *options.split()]) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()

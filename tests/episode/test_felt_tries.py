@@ -116,6 +116,14 @@ def test_a_hand_that_is_held_back_feels_it_while_it_pushes(dense: Stream) -> Non
     assert dense.memory.sentence() == f"{SO_FAR}pulled: blocked."
 
 
+def test_a_small_stroke_is_no_try_neither_while_it_pushes_nor_later(dense: Stream) -> None:
+    for _ in range(5):
+        dense.sends((0.0, 0.0, -0.0045), share=0.02)
+        assert not dense.memory.events
+    dense.opens()
+    assert not dense.memory.events
+
+
 def test_a_hand_that_still_moves_the_other_way_is_not_held_back(dense: Stream) -> None:
     """A motion that settles says nothing about the object: the try begins when the hand obeys or stands still."""
     for _ in range(5):

@@ -42,14 +42,17 @@ def check_dense_values(
 
 
 def _limits(features: Mapping[str, Mapping[str, Any]]) -> dict[str, Limits]:
-    """Returns column -> smallest and largest values, of the kinds that have limits of their own; poses have not."""
+    """Returns column -> smallest and largest values, of the kinds that have limits of their own; poses have not.
+
+    What a policy sent is as it was: the environment clips it.
+    """
     limits: dict[str, Limits] = {}
     action = kind_by_size(features, schema.ACTION)
     if action == EE_DELTA:
-        limits |= dict.fromkeys((schema.ACTION, schema.EXECUTED), (np.full(7, -1.0), np.ones(7)))
+        limits[schema.ACTION] = np.full(7, -1.0), np.ones(7)
     elif action == JOINT:
         low, high = (np.array(values) for values in JOINT_RANGES["panda"])
-        limits |= dict.fromkeys((schema.ACTION, schema.EXECUTED), (np.append(low, 0.0), np.append(high, 1.0)))
+        limits[schema.ACTION] = np.append(low, 0.0), np.append(high, 1.0)
     if kind_by_size(features, schema.STATE) == POSE:
         turn = np.full(3, 2.0 * np.pi)
         far = np.full(3, np.inf)

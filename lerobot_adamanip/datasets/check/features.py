@@ -61,10 +61,10 @@ def contract_of(features: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str
     if is_dense_collection(features):
         return {**dense_contract(features), **of_lerobot}
     cloud = list(features.get(schema.POINT_CLOUD, {}).get("shape", ()))
-    image = list(features.get(schema.FRONT_IMAGE, {}).get("shape", ()))
     points = max(1, cloud[0] // 3) if cloud else schema.DEFAULT_NUM_POINTS
-    size = image[0] if image else schema.IMAGE_SIZE
     cameras = [name for name in CAMERAS if image_column(name) in features]
+    image = list(features[image_column(cameras[0])].get("shape", ())) if cameras else []
+    size = image[0] if image else schema.IMAGE_SIZE
     own = schema.dataset_features(points, size, cameras=cameras)
     return {**own, **of_lerobot}
 
