@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import sys
 from dataclasses import dataclass
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import tyro
 
 import lerobot_adamanip
-from lerobot_adamanip.cli.arguments import print_result, require_suffix
+from lerobot_adamanip.cli.arguments import print_result, require_effects, require_suffix
 from lerobot_adamanip.util.errors import ConfigurationError
 
 if TYPE_CHECKING:
@@ -61,13 +62,13 @@ class CalibrateCommand:
     """Number of squares along the board's long side (with --record and --board-image)."""
 
     rows: int = 5
-    """Number of squares along the board's short side."""
+    """Number of squares along the board's short side, likewise."""
 
-    square: float = 0.040
-    """Side length of a square, measured on the print [m]."""
+    square: float | None = None
+    """Side length of a square, measured on the print [m]. Default: that of the pictures, 0.040 for new ones."""
 
-    marker: float = 0.030
-    """Side length of a marker, measured on the print [m]."""
+    marker: float | None = None
+    """Side length of a marker, measured on the print [m]. Default: that of the pictures, 0.030 for new ones."""
 
     json: bool = False
     """Print one JSON object instead of text."""
@@ -85,13 +86,17 @@ class CalibrateCommand:
                 allowed="adamanip calibrate FOLDER, or --on-robot",
                 hint="adamanip calibrate --board-image board.png",
             )
+        if self.record is None:
+            require_effects(self, {"with --record": ("columns", "rows", "mounting")})
         from lerobot_adamanip.hardware.calibration.hand_eye import solve
-        from lerobot_adamanip.hardware.calibration.views import ViewFolder
+        from lerobot_adamanip.hardware.calibration.views import Board, ViewFolder
         from lerobot_adamanip.hardware.camera_frames import save_calibration
 
         if self.record is not None:
             self._record(self.folder, self.record)
         folder = ViewFolder.open(self.folder)
+        board = Board(**{**dataclasses.asdict(folder.board), **self._sizes()})
+        folder = dataclasses.replace(folder, board=board)
         solved = solve(folder.views(self._say), folder.color, folder.mounting)
         facts = _facts(solved)
         if self.out is not None:
@@ -149,7 +154,11 @@ class CalibrateCommand:
     def _board(self) -> Board:
         from lerobot_adamanip.hardware.calibration.views import Board
 
-        return Board(self.columns, self.rows, self.square, self.marker)
+        return Board(self.columns, self.rows, **self._sizes())
+
+    def _sizes(self) -> dict[str, float]:
+        sizes = {"square": self.square, "marker": self.marker}
+        return {name: size for name, size in sizes.items() if size is not None}
 
     def _record(self, folder: Path, robot_file: Path) -> None:
         from lerobot_adamanip.hardware.calibration.hand_eye import Mounting

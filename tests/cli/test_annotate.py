@@ -55,6 +55,15 @@ def test_annotated_points_are_where_it_starts(tmp_path: Path, make: Any, categor
     assert [link.joint for link in after.links] == [link.joint for link in before.links]
 
 
+def test_a_joint_that_would_not_move_is_refused_and_locks_no_draft(tmp_path: Path) -> None:
+    folder = partnet_safe(tmp_path / "101564")
+    draft = Draft(folder, "safe")
+    with pytest.raises(ConfigurationError, match="would not move"):
+        draft.set_range("door", 0.5, 0.5)
+    draft.autosave()
+    Draft(folder, "safe")
+
+
 def test_work_is_never_lost(tmp_path: Path) -> None:
     folder = partnet_safe(tmp_path / "101564")
     draft = Draft(folder, "safe")

@@ -101,7 +101,7 @@ def test_lerobot_makes_it_from_its_own_command_line() -> None:
     robot = make_robot_from_config(draccus.parse(Command, None, args=given).robot)
     assert type(robot) is AdamanipFranka
     assert robot._safety_limits().box_lower == (0.3, -0.4, 0.0)
-    assert robot.config.dynamics == 0.05
+    assert robot.config.dynamics == 0.03
     assert not robot.is_connected
 
 

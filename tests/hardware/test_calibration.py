@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -200,6 +202,11 @@ def test_the_command_calibrates_from_a_folder(
     assert found.camera == "0123"
     assert main(["calibrate", str(pictures), "--json", "--out", str(output), "--key", "side"]) == 0
     numbers = json.loads(capsys.readouterr().out)
+    assert main(["calibrate", str(pictures), "--json", "--square", "0.0408", "--marker", "0.0306"]) == 0
+    scaled = json.loads(capsys.readouterr().out)
+    board, larger = (np.array(each["board"])[:3, 3] for each in (numbers, scaled))
+    assert np.linalg.norm(np.array(scaled["camera"]) - np.array(numbers["camera"])) > 1e-3, "measured on the print"
+    assert not np.allclose(board, larger, atol=1e-6)
     assert len(numbers["views"]) == numbers["pictures"] == 13
     assert numbers["rms_px"] < 0.2
     assert set(read_calibrations(output)) == {"front", "side"}
@@ -213,6 +220,23 @@ def test_the_command_says_what_is_missing(tmp_path: Path, capsys: pytest.Capture
     (tmp_path / "robot.json").write_text('{"type": "no_such_robot"}')
     assert main(["calibrate", str(tmp_path), "--record", str(tmp_path / "robot.json")]) == 2
     assert "describes no robot" in capsys.readouterr().err
+    assert main(["calibrate", str(tmp_path), "--mounting", "wrist"]) == 2
+    assert "--mounting with --record" in capsys.readouterr().err
+
+
+def test_a_robots_file_names_the_robots_and_cameras_of_lerobot_record(tmp_path: Path) -> None:
+    """In a process of its own, which has loaded no plugin yet."""
+    camera = {"type": "opencv", "index_or_path": 0, "width": 640, "height": 480, "fps": 30}
+    options = {"type": "adamanip_franka", "id": "x", "address": "127.0.0.1", "model": "fr3", "cameras": {"top": camera}}
+    (tmp_path / "robot.json").write_text(json.dumps(options))
+    code = (
+        "import sys; from pathlib import Path\n"
+        "from lerobot_adamanip.hardware.calibration.views import robot_from_file\n"
+        "robot = robot_from_file(Path(sys.argv[1])); print(robot.name, *robot.config.cameras)"
+    )
+    words = [sys.executable, "-c", code, str(tmp_path / "robot.json")]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["adamanip_franka", "top"], done.stderr[-1500:]
 
 
 def test_the_printed_board_is_the_one_that_is_looked_for(tmp_path: Path) -> None:

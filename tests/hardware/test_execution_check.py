@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from threading import Event
@@ -18,6 +20,7 @@ from lerobot_adamanip.contract.control import ACTION_NAMES, EE_DELTA, EE_POSE, F
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
 from lerobot_adamanip.hardware.adamanip_franka.config_adamanip_franka import AdamanipFrankaConfig
 from lerobot_adamanip.hardware.adamanip_franka.execution_check import execution_of_data, execution_of_policy
+from lerobot_adamanip.hardware.adamanip_franka.interface import adopt_training_rate
 from lerobot_adamanip.hardware.arm import Execution
 from lerobot_adamanip.hardware.features import INTERVENTION, recorded_features
 from lerobot_adamanip.hardware.robot_registry import ROBOTS
@@ -121,6 +124,35 @@ def test_a_rollout_that_sends_deltas_again_is_refused(make: Callable[[str], Any]
     for absolute in (type(robot)(robot.config), make("keyframe")):
         with pytest.raises(ReachedError):
             rollout(SimpleNamespace(robot=absolute.config, **options), absolute)
+
+
+@pytest.mark.parametrize(("option", "stored"), [("", 10), ("--dataset.fps=30", 30)])
+def test_a_rollout_and_its_recording_have_the_rate_of_the_training(
+    option: str, stored: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "meta").mkdir()
+    (tmp_path / "meta" / "info.json").write_text('{"fps": 10}')
+    (tmp_path / "train_config.json").write_text(json.dumps({"dataset": {"root": str(tmp_path), "repo_id": "x/y"}}))
+    monkeypatch.setattr(sys, "argv", ["lerobot-rollout", option])
+    robot, policy = SimpleNamespace(execution="stream"), SimpleNamespace(pretrained_path=str(tmp_path))
+    cfg = SimpleNamespace(robot=robot, policy=policy, fps=30.0, dataset=SimpleNamespace(fps=30))
+    adopt_training_rate(robot)
+    assert (cfg.fps, cfg.dataset.fps) == (10.0, stored)
+
+
+@pytest.mark.parametrize(
+    ("execution", "slides", "raised"),
+    [("keyframe", True, ConfigurationError), ("keyframe", False, ReachedError), ("stream", True, ReachedError)],
+)
+def test_the_arm_does_not_slide_to_a_person_by_key_frames(
+    make: Callable[[str], Any], execution: str, slides: bool, raised: type[Exception]
+) -> None:
+    robot = make(execution)
+    robot.config.action = EE_POSE
+    strategy = SimpleNamespace(type="dagger", smooth_handover=slides)
+    new = type(robot)(robot.config)
+    with pytest.raises(raised):
+        rollout(SimpleNamespace(robot=new.config, strategy=strategy, teleop=object()), new)
 
 
 @pytest.mark.parametrize("execution", ["stream", "keyframe"])

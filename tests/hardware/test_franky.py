@@ -108,6 +108,7 @@ def test_an_arm_outside_the_models_range_is_another_arm() -> None:
         ({"stiffness": 5000.0}, "stiffness"),
         ({"effort_sign": 0.5}, "effort_sign"),
         ({"stall_force": 70.0}, "before the arm's reflex"),
+        ({"dynamics": 0.05}, "up to 67 N until a blocked arm has braked"),  # an FR3's; a Panda's are lower
         ({"grasp_force": float("nan")}, "grasp_force"),
     ],
 )
@@ -172,6 +173,24 @@ def test_a_tool_that_is_held_back_for_some_ticks_stalls(pose: np.ndarray) -> Non
     assert outcomes == [None] * (STALL_TICKS - 1) + [Outcome.STALLED]
 
 
+def test_an_arm_that_releases_what_it_pressed_on_does_not_stall_until_it_presses_again() -> None:
+    looking = OutcomeWatch(GOAL, FrankyOptions(), 0.0, 10.0, leaning=True)
+    lags = [0.06, 0.05, 0.045, 0.04, 0.035, 0.031, 0.02, *[0.031] * STALL_TICKS]
+    outcomes = [looking.look(behind(lag), GOAL, running=True, speed=0.1, now=k * TICK) for k, lag in enumerate(lags)]
+    assert outcomes == [None] * (len(lags) - 1) + [Outcome.STALLED]
+
+
+@pytest.mark.parametrize(
+    "desired", [transform((0.02, 0.0, 0.0)), transform((0, 0, 0), rotation_about((0, 0, 1), 0.03))]
+)
+def test_a_key_frame_after_a_blocked_one_first_releases(monkeypatch: pytest.MonkeyPatch, desired: np.ndarray) -> None:
+    backend, moves = at_rest(desired, monkeypatch)
+    backend.begin_keyframe(SimpleNamespace(pose=pose_vector(transform((0.0, 0.0, 0.1)), 1.0)))
+    ((points, leaning),) = moves
+    assert [point[2, 3] for point in points] == pytest.approx([0.0, 0.1])
+    assert leaning
+
+
 def test_a_jerk_is_no_stall() -> None:
     looking = watch()
     for k in range(50):
@@ -206,21 +225,29 @@ def test_a_motion_without_end_is_given_up() -> None:
     assert looking.look(behind(0.01), behind(0.01), running=True, speed=0.1, now=2.01) is Outcome.TIMEOUT
 
 
+def at_rest(desired: np.ndarray, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tuple[Any, list[Any]]:
+    """A backend whose tool is at the base, and the points of each key frame with what `OutcomeWatch` is told last."""
+    moves: list[Any] = []
+    monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: moves.append(values))
+    backend = franky.FrankyBackend(FrankyOptions(**VALUES, **options))
+    backend._state = state(O_T_EE_d=SimpleNamespace(matrix=desired))
+    errors = {"ControlException": OSError, "NetworkException": OSError}
+    motions = {"CartesianWaypoint": np.array, "CartesianWaypointMotion": lambda points, **_: points}
+    backend._franky = SimpleNamespace(Affine=np.array, **motions, **errors)
+    backend._robot = SimpleNamespace(move=lambda points, **_: moves.append((points, moves.pop()[-1])))
+    return backend, moves
+
+
 def test_a_slow_motion_has_time_to_end(monkeypatch: pytest.MonkeyPatch) -> None:
     """1 rad at 1 % of 2.5 rad/s takes 40 s."""
     limits: list[float] = []
-    monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: limits.append(values[3]))
     for dynamics in (0.01, 1.0):
-        backend = franky.FrankyBackend(FrankyOptions(**VALUES, dynamics=dynamics))
-        pose = SimpleNamespace(matrix=np.eye(4))
-        backend._state = state(O_T_EE=pose, O_T_EE_d=pose)
-        errors = {"ControlException": OSError, "NetworkException": OSError}
-        motions = {"CartesianWaypoint": np.array, "CartesianWaypointMotion": lambda *_, **__: None}
-        backend._franky = SimpleNamespace(Affine=np.array, **motions, **errors)
-        backend._robot = SimpleNamespace(move=lambda *_, **__: None)
+        backend, _ = at_rest(np.eye(4), monkeypatch, dynamics=dynamics)
+        monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: limits.append(values[3]))
+        backend._robot.move = lambda *_, **__: None
         backend.begin_keyframe(
             SimpleNamespace(pose=pose_vector(transform((0, 0, 0), rotation_about((0, 0, 1), 1.0)), 1.0))
-        )  # type: ignore[arg-type]
+        )
     assert limits[0] > 40.0
     assert limits[1] < 5.0, "a blocked motion ends after seconds"
 

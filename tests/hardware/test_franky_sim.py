@@ -17,6 +17,7 @@ from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector, pose_vector, rotation_about, transform
 from lerobot_adamanip.contract.schema import POSE_NAMES
 from lerobot_adamanip.hardware.adamanip_franka.adamanip_franka import AdamanipFranka
+from lerobot_adamanip.hardware.backends.franky_options import FrankyOptions
 from lerobot_adamanip.hardware.safety import SafetyLimits
 from lerobot_adamanip.hardware.target_geometry import pose_error
 from lerobot_adamanip.util.errors import RobotError
@@ -25,8 +26,8 @@ pytestmark = [pytest.mark.franky, pytest.mark.nightly, pytest.mark.timeout(1200)
 """At night, in an environment of its own (scripts/nightly.sh): what is judged by the clock wants the machine to itself,
 and what the simulated FR3 brings would take the place of SAPIEN's kinematics."""
 
-LIMIT = 0.05 * 3.0
-"""FR3's translation velocity at 5 % dynamics [m/s]."""
+LIMIT = FrankyOptions.dynamics * 3.0
+"""FR3's translation velocity at the default dynamics [m/s]."""
 
 
 @pytest.fixture

@@ -215,6 +215,7 @@ class Guided:
         self.session: Any = SimpleNamespace(calibrations=calibrations, reading=None)
         self.cameras = {"front": self}
         self.is_faulty = self.is_open = False
+        self.use_depth, self.color_intrinsics = True, None
 
     def ask(self) -> bool:
         pose = next(self.hands, None)
@@ -274,6 +275,12 @@ def test_what_cannot_be_calibrated_on_the_hand_is_one_clear_error(
         other = Guided([], calibration, looking())
         with pytest.raises(ConfigurationError, match="cannot be calibrated on the hand"):
             calibrate_on_hand(other, "front", other.ask, print)
+    guided.use_depth = False
+    with pytest.raises(ConfigurationError, match="takes no depth"):
+        calibrate_on_hand(guided, "front", guided.ask, print)
+    guided.cameras = {}
+    with pytest.raises(ConfigurationError, match="no camera front that can be calibrated"):
+        calibrate_on_hand(guided, "front", guided.ask, print)
     assert main(["calibrate", "--on-robot"]) == 2
     assert "--record" in capsys.readouterr().err
     assert on_hand.MIN_POSES == 3

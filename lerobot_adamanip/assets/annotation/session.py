@@ -94,6 +94,9 @@ class Draft:
 
     def set_range(self, role: str, rest: float, opened: float) -> None:
         """Sets the rest and open positions of a joint, in the URDF's units."""
+        if rest == opened:
+            what, allowed = f"The joint {role} would not move.", "an open position other than that at rest"
+            raise ConfigurationError(what, got=f"rest and open {rest:g}", allowed=allowed, hint="another open position")
         self._set_choice(role, JointChoice(self.annotation.joints[role].joint, rest, opened))
 
     def _set_choice(self, role: str, choice: JointChoice) -> None:

@@ -74,6 +74,8 @@ def check_caller(robot: Any, action: str) -> None:
     caller = Caller.of(robot)
     if action == EE_DELTA:
         _require_deltas_once(caller.config)
+    if Execution(robot.execution) is Execution.KEYFRAME:
+        _require_no_slide(caller.config)
     if caller.policy is not None:
         what, needed = f"policy {caller.policy.pretrained_path}", execution_of_policy(caller.policy)
     elif caller.dataset is not None and not hasattr(caller.config, "teleop"):
@@ -96,6 +98,18 @@ def _require_deltas_once(config: Any) -> None:
             got=" and ".join(got),
             allowed="absolute actions: action=ee_pose, or execution=keyframe",
             hint="--robot.action=ee_pose with a policy trained on --action ee_pose demonstrations",
+        )
+
+
+def _require_no_slide(config: Any) -> None:
+    """Raises `ConfigurationError` if the arm would slide to a person who takes over: each step is a key frame."""
+    strategy: Any = getattr(config, "strategy", None)
+    if getattr(config, "teleop", None) is not None and getattr(strategy, "smooth_handover", False):
+        raise ConfigurationError(
+            "A person who takes over would wait for 30 motions of the arm.",
+            got=f"--strategy.type={strategy.type} with smooth_handover=true and execution={Execution.KEYFRAME}",
+            allowed="smooth_handover=false: the teleoperators of this package begin where the hand is",
+            hint="--strategy.smooth_handover=false",
         )
 
 

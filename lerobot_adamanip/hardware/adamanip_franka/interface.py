@@ -118,6 +118,8 @@ def adopt_training_rate(config: Any) -> None:
         return
     if parser.parse_arg("fps") is None:
         caller.config.fps = float(rate)
+        if caller.config.dataset is not None and parser.parse_arg("dataset.fps") is None:
+            caller.config.dataset.fps = int(rate)
         _log.info("The rollout runs at %g Hz, the rate of the policy's training data.", rate)
     else:
         _log.warning("The policy was trained at %g Hz, and the rollout runs at %g Hz: --fps=%g", rate, current, rate)

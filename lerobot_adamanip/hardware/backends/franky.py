@@ -17,7 +17,7 @@ from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.contract.schema import GRIPPER_DIM
 from lerobot_adamanip.hardware.arm import ArmReading, ArmTarget, Array, Served
 from lerobot_adamanip.hardware.arm_process.mailbox import Mailbox
-from lerobot_adamanip.hardware.backends.franky_options import ROTATIONAL_STIFFNESS, STALL_TORQUE, FrankyOptions
+from lerobot_adamanip.hardware.backends.franky_options import PERIOD, ROTATIONAL_STIFFNESS, STALL_TORQUE, FrankyOptions
 from lerobot_adamanip.hardware.backends.franky_sdk import (
     check_joints,
     check_tool_frame,
@@ -36,7 +36,7 @@ SETTLE_S, SETTLED_M, SETTLED_RAD, REST_SPEED = 0.5, 0.002, 0.01, 0.01
 """Time for the arm to reach a target that no longer moves; errors and joint speed [rad/s] below which it ends early."""
 GENTLE_FACTOR, GENTLE_S = 0.5, 10.0
 """Fraction of the dynamics after a recovery, and its duration on the arm's clock."""
-LEANING_M = 0.01
+LEANING_M, LEANING_RAD = 0.01, 0.01
 """Lag of an arm that presses on something. The next key frame first releases it."""
 NO_MOTION = 5e-4
 """Distance below which a goal needs no motion [m, rad]."""
@@ -57,13 +57,16 @@ class OutcomeWatch:
         options: force and stiffness for the stall test.
         began: start time on the arm's own clock [s].
         time_limit: time limit of the motion [s].
+        leaning: whether the arm still presses on something, and first releases it: that is no stall.
     """
 
-    def __init__(self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float) -> None:
+    def __init__(
+        self, goal_in_base: Array, options: FrankyOptions, began: float, time_limit: float, leaning: bool = False
+    ) -> None:
         self._goal = goal_in_base
         self._stall_lag = options.stall_force / options.stiffness
         self._stall_turn = STALL_TORQUE / ROTATIONAL_STIFFNESS
-        self._until, self._strained_ticks = began + time_limit, 0
+        self._until, self._strained_ticks, self._releases = began + time_limit, 0, leaning
         self._arrived: float | None = None
 
     def look(
@@ -80,7 +83,8 @@ class OutcomeWatch:
         """
         lag, turned = pose_error(tcp_in_base, desired_in_base)
         is_strained = lag > self._stall_lag or turned > self._stall_turn
-        self._strained_ticks = self._strained_ticks + 1 if is_strained else 0
+        self._releases = self._releases and is_strained
+        self._strained_ticks = self._strained_ticks + 1 if is_strained and not self._releases else 0
         if self._strained_ticks >= DEFAULT_MOTION.stall_ticks:
             return Outcome.STALLED
         if now > self._until:
@@ -100,7 +104,7 @@ class OutcomeWatch:
 class FrankyBackend:
     """An `ArmBackend` on one `franky.Robot`. It cannot be used after a lost connection."""
 
-    period = 0.02
+    period = PERIOD
 
     def __init__(self, options: FrankyOptions) -> None:
         self._options = options
@@ -207,13 +211,14 @@ class FrankyBackend:
         self._goal_opening = float(target.pose[GRIPPER_DIM])
         state = self._state
         here, now = np.array(state.O_T_EE.matrix), state.time.to_msec() / 1000.0
-        leaning = pose_error(here, np.array(state.O_T_EE_d.matrix))[0] > LEANING_M
+        lag, turned = pose_error(here, np.array(state.O_T_EE_d.matrix))
+        leaning = lag > LEANING_M or turned > LEANING_RAD
         ways = [here, goal] if leaning else [goal]
         way, turn = pose_error(here, goal)
         maxima = scaled_limits(self._options)
         speed, angular_speed = (maxima[f"{name}_velocity_limit"][0] for name in ("translation", "rotation"))
         travel_s = (way / speed + turn / angular_speed) / self._pace
-        self._watch = OutcomeWatch(goal, self._options, now, 3.0 + 2.0 * travel_s)
+        self._watch = OutcomeWatch(goal, self._options, now, 3.0 + 2.0 * travel_s, leaning)
         if not leaning and max(way, turn) < NO_MOTION:
             return  # only the fingers move
         points = [self._franky.CartesianWaypoint(self._franky.Affine(pose)) for pose in ways]

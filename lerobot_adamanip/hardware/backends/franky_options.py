@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from typing import Any
 
 from lerobot_adamanip.hardware.arm_process.mailbox import message
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
@@ -65,6 +66,8 @@ ROTATIONAL_STIFFNESS = 40.0
 """Rotational stiffness of the firmware's Cartesian impedance [N m/rad]."""
 STALL_TORQUE, COLLISION_TORQUE = 1.1, 40.0
 """Torque above which a key frame stalls, and torque of the arm's own reflex, per joint [N m]."""
+PERIOD = 0.02
+"""Time between two looks at a motion [s]."""
 GRIPPER_SPEED = 0.1
 """Speed of the fingers [m/s]."""
 
@@ -80,7 +83,7 @@ class FrankyOptions:
     model: str = ""
     """Model of the arm: fr3 or panda (FER). It selects the limits."""
 
-    dynamics: float = 0.05
+    dynamics: float = 0.03
     """Fraction of the model's maximum velocity, acceleration and jerk for planned motions."""
 
     stiffness: float = 1000.0
@@ -128,10 +131,21 @@ class FrankyOptions:
                 )
         if self.effort_sign not in (1, -1):
             raise ConfigurationError("effort_sign must be a sign.", got=self.effort_sign, allowed="1 or -1", hint="1")
-        if self.stall_force >= self.collision_force:
+        if self.peak_force >= self.collision_force:
             raise ConfigurationError(
                 "A pull must stall before the arm's reflex stops it.",
-                got=f"stall_force {self.stall_force:g} N, collision_force {self.collision_force:g} N",
-                allowed="stall_force below collision_force",
-                hint="lower stall_force or raise collision_force",
+                got=f"up to {self.peak_force:.0f} N until a blocked arm has braked, with stall_force "
+                f"{self.stall_force:g} N, stiffness {self.stiffness:g} N/m and dynamics {self.dynamics:g}",
+                allowed=f"less than collision_force, {self.collision_force:g} N",
+                hint="lower dynamics or stall_force, or raise collision_force",
             )
+
+    @property
+    def peak_force(self) -> float:
+        """Force [N] of a blocked pull after it has been noticed and the arm has braked, at the limits of a motion."""
+        from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION  # with NumPy, which registration does without
+
+        limits: dict[str, Any] = MODELS[self.model]
+        speed, braking = (limits[f"translation_{name}"] * self.dynamics for name in ("velocity", "acceleration"))
+        ahead = speed * DEFAULT_MOTION.stall_ticks * PERIOD + speed**2 / (2.0 * braking)
+        return float(self.stall_force + self.stiffness * ahead)

@@ -16,6 +16,7 @@ from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.calibration.hand_shape import franka_hand
 from lerobot_adamanip.hardware.calibration.self_calibration import WARN_M, SelfCalibration
+from lerobot_adamanip.hardware.calibration.views import camera_of
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.depth_cloud import points_in_base
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
@@ -90,7 +91,10 @@ def calibrate_on_hand(robot: Any, key: str, ask: Callable[[], bool], tell: Calla
             allowed="a camera beside the robot, with a calibration within 30 mm and 3 degrees",
             hint="adamanip calibrate views --record robot.json --out FILE, with a board",
         )
-    on_hand, camera = CameraOnHand(known), robot.cameras[key]
+    on_hand, camera = CameraOnHand(known), camera_of(robot, key)
+    if not camera.use_depth:
+        what, hint = f"The camera {key} takes no depth.", '"use_depth": true in the robot\'s file'
+        raise ConfigurationError(what, got="use_depth=false", allowed="use_depth=true", hint=hint)
     while ask():
         try:
             _observe(robot)

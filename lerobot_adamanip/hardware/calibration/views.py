@@ -228,9 +228,13 @@ class ViewFolder:
 def robot_from_file(path: Path) -> Any:
     """Returns the robot from a JSON file of ``--robot.*`` options. Raises `ConfigurationError`."""
     import draccus
+    import lerobot.cameras.opencv.configuration_opencv
+    import lerobot.cameras.realsense.configuration_realsense  # noqa: F401  (as `lerobot-record` registers them)
     from lerobot.robots import make_robot_from_config
     from lerobot.robots.config import RobotConfig
+    from lerobot.utils.import_utils import register_third_party_plugins
 
+    register_third_party_plugins()
     try:
         return make_robot_from_config(draccus.decode(RobotConfig, json_fields.read(path)))
     except Exception as error:  # draccus and LeRobot raise many kinds

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract.cameras import image_column, is_image_column
 from lerobot_adamanip.contract.pointcloud import DEFAULT_WORKSPACE, Workspace, check_num_points
-from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, POSITION_DIMS, ROTATION_DIMS, STATE
+from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS, POINT_CLOUD, STATE
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, FRONT_CAMERA
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -104,7 +104,7 @@ class DepthToCloudStep(SameFeaturesStep):
 
     def _clouds(self, picture: Tensor, state: Tensor | None) -> Tensor:
         """Converts depth (..., H, W, 1) or (..., 1, H, W) [mm] to (..., N, 3) [m]; adds a missing batch dimension."""
-        from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d, transform  # imports scipy
+        from lerobot_adamanip.episode.memory import hand_of  # imports scipy
         from lerobot_adamanip.hardware.depth_cloud import depth_cloud
 
         depth = _without_channel(picture.detach().cpu().numpy())
@@ -112,7 +112,7 @@ class DepthToCloudStep(SameFeaturesStep):
         poses: list[np.ndarray[Any, np.dtype[np.float64]] | None] = [None] * int(np.prod(leading))
         if state is not None and state.numel() // state.shape[-1] == len(poses):
             rows = state.detach().cpu().double().numpy().reshape(len(poses), -1)
-            poses = [transform(row[POSITION_DIMS], matrix_from_rotation_6d(row[ROTATION_DIMS])) for row in rows]
+            poses = [hand_of(row).tcp_in_base for row in rows]
         calibration, workspace = self._calibration(), Workspace(_corner(self.lower), _corner(self.upper))
         clouds = [
             depth_cloud(each, calibration, self.num_points, workspace, pose)

@@ -19,7 +19,7 @@ from lerobot.rollout.inference.sync import SyncInferenceEngine
 from lerobot.utils.feature_utils import build_dataset_frame, hw_to_dataset_features
 from toy_demos import REPO_ID
 
-from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract import control, schema
 from lerobot_adamanip.contract.control import FULL, STATES
 from lerobot_adamanip.contract.observation import RepeatedPointsWarning
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_vector, transform
@@ -78,6 +78,8 @@ def test_every_form_of_a_depth_picture_makes_the_same_cloud(session: Any, depth:
         assert torch.equal(found[schema.POINT_CLOUD], expected)
         assert not [name for name in found if name.startswith("observation.images")]
         assert torch.equal(found[schema.STATE], STATE[None])
+    short = {schema.STATE: torch.zeros(1, len(STATES[control.POSE])), KEY: whole[None, None]}
+    assert torch.equal(step(given(**short))[TransitionKey.OBSERVATION][schema.POINT_CLOUD], expected)
     several = torch.stack([whole, torch.zeros_like(whole)])
     state = torch.stack([STATE, STATE])
     with pytest.warns(RepeatedPointsWarning):
