@@ -39,11 +39,11 @@ def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[
 
     A training with ``--dataset.repo_id`` may continue from a policy of any category.
     """
-    path = parser.get_path_arg("policy")
+    path, policy = parser.get_path_arg("policy"), None
     if path is not None:
         is_training = parser.parse_arg("dataset.repo_id") is not None
         policy = require_fitting_checkpoint(path, environment, () if is_training else categories)
-        _require_repeats(policy, environment)
+    _require_repeats(policy, environment)
 
 
 def configuration_of(options: EnvironmentOptions) -> AdaManipEnvConfig:

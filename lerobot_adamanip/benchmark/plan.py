@@ -16,11 +16,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Demonstrations, Method, Scale
-from lerobot_adamanip.catalog import parse_object_selection
+from lerobot_adamanip.catalog import SEEN_COUNTS, parse_object_selection
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.versions import DATA, DATA_VERSION, SIMULATION, SIMULATION_VERSION
 from lerobot_adamanip.evaluation.results import EVALUATE, LOGGED, ResultFile, check_command, command_options
-from lerobot_adamanip.util.errors import ConfigurationError, nearest, require_choice
+from lerobot_adamanip.util.errors import ConfigurationError, DatasetError, nearest, require_choice
 
 COLLECT, CORRECT, MERGE, TRAIN = "collect", "correct", "merge", "train"
 FOLDERS: Mapping[str, str] = {
@@ -91,9 +91,14 @@ class Cell:
 
 
 def cell_of(result: ResultFile) -> Cell:
-    """Returns the cell of a benchmark's result; raises ValueError for another result."""
+    """Returns the cell of a benchmark's result; raises `DatasetError` for another result."""
     if result.run is None:
-        raise ValueError("not a result of a benchmark")
+        raise DatasetError(
+            "A result of no benchmark is among those of one.",
+            got=f"{result.title}: {result.command}",
+            allowed="files that `adamanip benchmark` has written into cells/",
+            hint="move the file elsewhere",
+        )
     row = result.rows[0]
     return Cell(method=result.run.method, category=row.category, objects=row.objects, seed=result.run.seed)
 
@@ -254,7 +259,10 @@ def _learning(
         others = [replace(cell, method=method.data_of, category=category) for category in names]
         parts = [_learning(other, declaration, scale_name, versions, like=like)[0] for other in others]
         if scale.shown:
-            few = replace(scale, objects=f"0:{scale.shown}", objects_at={}, demonstrations=scale.shown)
+            objects = f"0:{min(scale.shown, SEEN_COUNTS[cell.category])}"
+            few = replace(
+                scale, objects=objects, objects_at={}, demonstrations=scale.shown, demonstrations_per_object=False
+            )
             parts.append(_collection(cell, like, few, versions))
         data = _merge(tuple(parts))
     else:
@@ -357,23 +365,30 @@ def _training(
     steps: int,
     start: Step | None = None,
 ) -> Step:
-    begin = f"--policy.type={method.policy}" if start is None else f"--policy.path={last_checkpoint(start.product)}"
+    chosen = {option.partition("=")[0] for option in (*method.options, *method.train)}
+    begin: tuple[str, ...] = () if "--policy.path" in chosen else (f"--policy.type={method.policy}",)
+    if start is not None:
+        begin = (f"--policy.path={last_checkpoint(start.product)}",)
+    # LeRobot would read an existing folder, whatever the name.
+    is_own = not chosen & {"--dataset.repo_id", "--dataset.revision"}
     command = _command(
         "lerobot-train",
-        begin,
+        *begin,
         *method.options,
         f"--policy.device={scale.device}",
         "--policy.push_to_hub=false",
         f"--dataset.repo_id=local/{data.key}",
-        f"--dataset.root={data.product}",
+        *((f"--dataset.root={data.product}",) if is_own else ()),
         f"--batch_size={scale.batch_size}",
         f"--steps={steps}",
         "--num_workers=0",
         f"--seed={cell.seed}",
         f"--output_dir={FOLDERS[TRAIN]}/{_KEY}",
         *method.train,
+        *(begin if start is not None else ()),  # wins over the method's
     )
-    logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, steps // LOGGED)}")
+    length = int(command_options(shlex.join(command))["--steps"])  # a method's options win
+    logging = (f"--save_freq={scale.save_every}", f"--log_freq={max(1, length // LOGGED)}")
     needs = (data,) if start is None else (data, start)
     return _step(TRAIN, command, versions.policy(cell.method), logging, needs)
 

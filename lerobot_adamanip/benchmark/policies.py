@@ -56,7 +56,8 @@ def _refusal(kind: type[Any], options: tuple[str, ...]) -> str:
     import draccus
 
     said = io.StringIO()
-    arguments = ["--device=cpu", *(f"--{option.removeprefix('--policy.')}" for option in options)]
+    own = [option for option in options if not option.startswith("--policy.path=")]  # read by LeRobot's commands alone
+    arguments = ["--device=cpu", *(f"--{option.removeprefix('--policy.')}" for option in own)]
     before = logging.root.manager.disable
     logging.disable(logging.WARNING)  # configurations log the device
     try:

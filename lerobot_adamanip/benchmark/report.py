@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import statistics
+from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -251,6 +252,8 @@ def make_report(
     titles = {name: _title(method.title, method.package) for name, method in methods.items()}
     for cell, result in by_cell.items():
         titles.setdefault(cell.method, _title(result.rows[0].subject, result.run.package if result.run else ""))
+    shared = {title for title, count in Counter(titles.values()).items() if count > 1}
+    titles = {name: f"{title} ({name})" if title in shared else title for name, title in titles.items()}
     places = [(cell.category, cell.objects) for cell in (*cells, *by_cell)]
     compared = {(effect.method, effect.without) for effect in declaration.effects if not effect.categories}
     others = [

@@ -368,7 +368,7 @@ def policy_result(evaluations: Mapping[str, Sequence[EpisodeRecord]], *, title: 
         kind="policy",
         title=title,
         command=command,
-        seeds=[one.seed for one in records],
+        seeds=[one.given_seed for one in records],
         scenes=kinds[0][1],
         simulation_version=kinds[0][0],
         version=records[-1].provenance.version,

@@ -147,8 +147,8 @@ def model_card(
         facts=_facts(checkpoint),
         notes=_notes(config, env_options),
         results=results_table(results),
-        training=_training(training, demos),
-        command=train_command(training, kind, env_type, demos),
+        training=_training(training, demos, checkpoint.updates),
+        command=train_command(training, repo_id, kind, demos),
     )
 
 
@@ -197,21 +197,19 @@ def _feature(key: str, feature: Mapping[str, Any]) -> str:
     return f"{tuple(feature['shape'])}: {COLUMNS.get(key, feature['type'])}"
 
 
-def _training(training: Mapping[str, Any], dataset: str | None) -> str:
+def _training(training: Mapping[str, Any], dataset: str | None, updates: int | None) -> str:
     if not training:
         return "How it was trained is not recorded."
     options = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
     source = f"`{dataset}`" if dataset else "a dataset that is not published"
-    return f"On {source}: {options}. `train_config.json` holds every option; local paths are removed from it."
+    steps = training.get("steps")
+    earlier = updates - steps if isinstance(steps, int) and updates is not None else 0
+    start = f" It went on from weights with {earlier} updates, which are not published." if earlier > 0 else ""
+    return f"On {source}: {options}.{start} `train_config.json` holds every option; local paths are removed from it."
 
 
-def train_command(training: Mapping[str, Any], kind: str, env_type: str, dataset: str | None) -> str:
-    """Returns a command that repeats the training. Other options are defaults or in `train_config.json`."""
-    options = {
-        "policy.type": kind,
-        "env.type": env_type,
-        "dataset.repo_id": dataset or "DATASET",
-        **{name: training[name] for name in ("steps", "batch_size", "seed") if training.get(name) is not None},
-        "policy.push_to_hub": "false",
-    }
-    return "lerobot-train " + " ".join(f"--{name}={value}" for name, value in options.items())
+def train_command(training: Mapping[str, Any], repo_id: str, kind: str, dataset: str | None) -> str:
+    """Returns a command that trains with all options of ``train_config.json``, or if it is unknown with defaults."""
+    begin = f"--config_path={repo_id}" if training else f"--policy.type={kind}"
+    data = "" if training and dataset else f" --dataset.repo_id={dataset or 'DATASET'}"
+    return f"lerobot-train {begin}{data} --policy.push_to_hub=false --output_dir=outputs/again"

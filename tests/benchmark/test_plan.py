@@ -30,7 +30,7 @@ from lerobot_adamanip.benchmark.plan import (
     plan,
     select_cells,
 )
-from lerobot_adamanip.benchmark.policies import policy_package
+from lerobot_adamanip.benchmark.policies import find_policies, policy_package
 from lerobot_adamanip.catalog import parse_object_selection, seen_objects
 from lerobot_adamanip.cli.collect import CollectCommand
 from lerobot_adamanip.cli.main import parse_command
@@ -279,6 +279,29 @@ def test_options_of_a_method_win() -> None:
     assert option(steps(declared(methods=methods, scales=scales))[TRAIN].command, "--batch_size") == "11"
     command = found[EVALUATE].command
     assert (option(command, "--env.episode_length"), option(command, "--env.max_parallel_tasks")) == ("15", "1")
+
+
+def test_options_may_begin_from_other_weights_or_data() -> None:
+    """LeRobot takes either a type or a path, and reads an existing folder whatever the name of the dataset is."""
+    methods = content()["methods"]
+    other = ["--policy.path=me/base", "--dataset.repo_id=me/data"]
+    methods["ours"] |= {"learns_from": "more", "train": other, "rounds": [{"corrections": 5, "steps": 4}]}
+    methods["ours"]["rounds"].append({"corrections": 2, "steps": 3, "start": "trained"})
+    found = named_steps(plan(cell(), declared(methods=methods), SCALE, VERSIONS))
+    for name, path in (("train", "me/base"), ("train_3", str(last_checkpoint(found["train_2"].product)))):
+        options = command_options(shlex.join(found[name].command))
+        assert options["--policy.path"] == path
+        assert options["--dataset.repo_id"] == "me/data"
+        assert not {"--policy.type", "--dataset.root"} & options.keys()
+    methods["ours"] = {**content()["methods"]["ours"], "options": other[:1], "learns_from": "more"}
+    assert "ours" not in find_policies(declared(methods=methods).methods)[1]
+
+
+def test_a_training_is_logged_in_the_parts_of_its_own_length() -> None:
+    methods = content()["methods"]
+    methods["ours"]["train"] = ["--steps=600"]
+    training = steps(declared(methods=methods))[TRAIN]
+    assert option(("x", *training.non_key_options), "--log_freq") == "30"
 
 
 def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everything() -> None:

@@ -305,6 +305,22 @@ def test_a_method_that_is_declared_no_more_keeps_its_row(cells: Path) -> None:
     assert theirs["safe"].startswith(percent(read_result(path).rows[0].metrics.success.rate))
 
 
+def test_methods_of_one_title_are_told_apart(cells: Path) -> None:
+    path = cells / "former-safe-seen-1.json"
+    shutil.copyfile(cells / "ours-safe-seen-1.json", path)
+    change(path, run={"method": "former"})
+    report = report_of(cells)
+    assert len(set(report.titles.values())) == len(report.titles)
+    assert report.titles["former"] == f"{wide().methods['ours'].title} (former)"
+
+
+def test_a_result_of_no_benchmark_is_named(cells: Path) -> None:
+    path = cells / "other.json"
+    write_result(path, dataclasses.replace(read_result(cells / "ours-safe-seen-1.json"), run=None, title="Of a log"))
+    with pytest.raises(DatasetError, match=r"(?s)no benchmark.*Of a log"):
+        report_of(cells)
+
+
 def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
     # Demonstrations: two sets of two categories and seeds. Trainings: two methods of them. Tests: two splits
     # of the two trained methods, and of the untrained one with its one seed.

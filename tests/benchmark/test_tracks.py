@@ -70,6 +70,18 @@ def test_no_training_sees_a_held_out_category_beyond_what_is_declared(scale: str
     assert {len(keys) for keys in trainings.values()} == {2 if scale.endswith("five") else 1}, "shared if equal"
 
 
+def test_shown_demonstrations_are_as_many_as_declared_and_of_seen_objects() -> None:
+    name, category = "held_out_category_five", "pressure_cooker"
+    five = TRACKS.scale(name)
+    many = dataclasses.replace(
+        five, shown=30, demonstrations_per_object=True, held_out=((category,),), categories=(category,)
+    )
+    cell = Cell(method="dp3_adaptive_elsewhere", category=category, objects="unseen", seed=1000)
+    steps = plan(cell, dataclasses.replace(TRACKS, scales={name: many}), name, VERSIONS).chain()
+    (shown,) = [each for step in steps if step.kind == COLLECT if (each := options(step))["--category"] == category]
+    assert (shown["--objects"], shown["--episodes-per-object"]) == (f"0:{CATEGORIES[category].seen}", "5")
+
+
 @pytest.mark.parametrize(("scale", "rules"), [("row", "row"), ("changing", "changing")])
 def test_rules_of_a_scale_are_those_of_its_demonstrations_and_evaluations(scale: str, rules: str) -> None:
     assert set(TRACKS.scale(scale).categories) == set(categories_with(rules))

@@ -122,6 +122,9 @@ def test_a_memory_over_episodes_needs_scenes_that_are_played_again(monkeypatch: 
     kept = "--policy.memory_episodes=3"
     with pytest.raises(ConfigurationError, match=r"(?s)different scenes.*repeats=1.*--env\.repeats=3"):
         evaluate(monkeypatch, CHECKPOINT, "adamanip_safe", kept)
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", "--policy.type=dp3_adaptive", kept])  # its own evaluation
+    with pytest.raises(ConfigurationError, match="different scenes"):
+        require_fitting_policy(make_env_config("adamanip_safe"), ["safe"])
     for repeats in (3, 6):
         evaluate(monkeypatch, CHECKPOINT, "adamanip_safe", kept, repeats=repeats)
     evaluate(monkeypatch, CHECKPOINT, repeats=2)  # no memory is kept

@@ -64,6 +64,7 @@ class AdaAffordPolicy(AffordancePolicy):
         weight = (candidates[:, 0] >= 0).to(cloud.dtype)
         known, past = self._interactions(trim_padding(candidates)), self._interactions(trim_padding(history))
         held = known.before[..., POSITION_DIMS]
+        held = torch.where(known.valid[..., None], held, held[:, :1])  # the first one instead of padding
         elsewhere = points_away(cloud, held, plans.PART_RADIUS_M, 1)
         negatives = self._negatives(cloud, known, held, elsewhere)
         # In one call: each call encodes the whole cloud.
