@@ -53,13 +53,23 @@ def page() -> Iterator[Any]:
         browser.close()
 
 
+# Tests may run in the background of a shell, where processes start with SIGINT ignored; a terminal's do not.
+PROGRAM = """
+import signal, sys
+from lerobot_adamanip.cli.main import main
+
+signal.signal(signal.SIGINT, signal.default_int_handler)
+sys.exit(main(sys.argv[1:]))
+"""
+
+
 @pytest.fixture
 def served(tmp_path: Path) -> Iterator[tuple[Path, str, subprocess.Popen[str]]]:
     folder = partnet_safe(tmp_path / "101564")
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
-    command = [sys.executable, "-m", "lerobot_adamanip.cli.main", "annotate", str(folder), "--port", str(port)]
+    command = [sys.executable, "-c", PROGRAM, "annotate", str(folder), "--port", str(port)]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env={**os.environ, "PYTHONUNBUFFERED": "1"})
     assert process.stdout is not None
     lines = iter(process.stdout.readline, "")

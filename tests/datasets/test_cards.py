@@ -180,7 +180,9 @@ def test_an_invalid_card_is_one_clear_error(refuses: Callable[..., str], name: s
 
 def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     result = read_result(project_root / "results" / "demo.json")
-    checkpoint = Checkpoint({"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000, updates=7)
+    checkpoint = Checkpoint(
+        {"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000, updates=7
+    )
     text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
     check_card(text, "model")
     card = ModelCard(text)
