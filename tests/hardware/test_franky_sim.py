@@ -281,5 +281,5 @@ def test_a_recorder_that_is_killed_leaves_the_arm_at_rest_before_its_last_target
     milliseconds, poses = arm.poses("p", killed)
     position = poses[:, 0, 3]
     assert position.max() <= last + 0.001
-    at_rest = milliseconds >= killed + 500
+    at_rest = milliseconds >= killed + 800  # at the default dynamics, the last target is 4 cm ahead
     assert np.ptp(position[at_rest]) < 0.001
