@@ -62,6 +62,8 @@ def in_own_words(message: str, command: Any) -> str:
 
     def own(match: re.Match[str]) -> str:
         name, value = match[1], match[2].strip("'[]").replace(",", " ") if "[" in match[2] else match[2]
+        if name == "type" and value.startswith("adamanip_"):
+            name, value = "category", value.removeprefix("adamanip_")
         option = _OWN.get(f"{name}={value}", f"--{name.replace('_', '-')}" + (f" {value}" if value != "true" else ""))
         return option if option.split()[0][2:].replace("-", "_") in names else match[0]
 

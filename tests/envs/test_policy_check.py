@@ -236,7 +236,7 @@ def test_a_policy_that_pads_states_and_resizes_pictures_keeps_the_shapes_of_its_
     [
         ("", "--control dense --state pose"),
         ("--control dense --memory text", "--memory none"),
-        ("--control dense --category lamp", "environments of lamp"),
+        ("--control dense --category lamp", "--category safe"),
     ],
 )
 def test_corrections_are_of_a_policy_that_fits(
