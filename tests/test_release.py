@@ -70,7 +70,7 @@ def test_a_release_uploads_what_was_tried_and_by_tag_alone() -> None:
     assert release[True]["push"] == {"tags": ["v*"]}
     publish, tried = jobs["publish"], jobs["smoke-test"]
     assert (publish["needs"], tried["needs"]) == ("smoke-test", "build")
-    assert publish["if"] == "github.ref_type == 'tag'"
+    assert publish["if"] == "github.event_name == 'push' && github.ref_type == 'tag'", "not by hand, even on a tag"
     assert publish["environment"] == "pypi"
     assert not [step for step in publish["steps"] if "run" in step]  # it only takes what was tried
     names = {step["with"]["name"] for step in steps(release) if "artifact@" in step.get("uses", "")}
