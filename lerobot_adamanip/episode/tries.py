@@ -103,7 +103,7 @@ class TryTracker:
         }
 
     def sequence(self, *, ended: bool = False) -> tuple[tuple[int, int, bool], ...]:
-        """Returns joint, direction and failure of each try. ``ended`` leaves out a failed one that goes on."""
+        """Returns joint, direction and failure of each try; with ``ended`` without a failed try that has not ended."""
         present = [state.current for state in self._states.values()] if ended else []
         tries = [each for each in self.tries if not (each.failed and each in present)]
         return tuple([(each.joint, each.direction, each.failed) for each in tries])

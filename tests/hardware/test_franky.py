@@ -226,7 +226,7 @@ def test_a_motion_without_end_is_given_up() -> None:
 
 
 def at_rest(desired: np.ndarray, monkeypatch: pytest.MonkeyPatch, **options: Any) -> tuple[Any, list[Any]]:
-    """A backend whose tool is at the base, and the points of each key frame with what `OutcomeWatch` is told last."""
+    """A backend whose tool is at the base, and a list of its key frames: the points, and whether it was leaning."""
     moves: list[Any] = []
     monkeypatch.setattr(franky, "OutcomeWatch", lambda *values: moves.append(values))
     backend = franky.FrankyBackend(FrankyOptions(**VALUES, **options))
