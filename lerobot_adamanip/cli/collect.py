@@ -207,8 +207,7 @@ class CollectCommand:
             from lerobot_env_adamanip.policy_check import configuration_of, require_fitting_checkpoint
 
             register_policies()
-            categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
-            require_fitting_checkpoint(str(self.policy), configuration_of(spec.environment), categories)
+            require_fitting_checkpoint(str(self.policy), configuration_of(spec.environment), self._categories())
         announce(spec, self.workers, self.cluster, self.part)
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
@@ -254,7 +253,7 @@ class CollectCommand:
             "with --action ee_pose or --state full": () if self._has_poses() else ("unscaled_poses",),
         }
         require_effects(self, idle)
-        categories = tuple(CATEGORIES) if self.category == ALL else (self.category,)
+        categories = self._categories()
         same = (
             "objects", "num_points", "cloud_source", "poses", "mechanism_rules", "sensing", "self_calibration",
             "max_failed_tries", "hints", "control", "fps", "action", "state", "memory", "image_source",
@@ -288,6 +287,9 @@ class CollectCommand:
             expert_share=1.0 if self.policy is None else self.expert_share,
             **{name: getattr(self, name) for name in unchanged},
         )
+
+    def _categories(self) -> tuple[str, ...]:
+        return tuple(CATEGORIES) if self.category == ALL else (self.category,)
 
     def _has_poses(self) -> bool:
         """Whether states or actions are poses."""
