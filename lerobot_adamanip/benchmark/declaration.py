@@ -184,7 +184,8 @@ class Scale:
         hints: share of episodes, demonstrations and evaluations, whose instruction says what is hidden.
         held_out: groups of categories; for a cell of one of them, a method with ``data_of`` learns from all categories
             but those of its group. All trained methods of such a scale need ``data_of``.
-        shown: number of demonstrations of the cell's own category that are added then.
+        shown: number of demonstrations of the cell's own category, on which that policy is trained further for
+            ``shown_steps`` steps.
         evaluate: options of ``lerobot-eval``; a method's options override them.
         note: one sentence for the report. Changes no result.
         beside_paper: whether the report shows the paper's numbers. Changes no result.
@@ -203,6 +204,7 @@ class Scale:
     hints: Annotated[float, number(0, 1)] = 0.0
     held_out: Annotated[tuple[tuple[str, ...], ...], listing(_CATEGORIES, 0, len(CATEGORIES))] = ()
     shown: Annotated[int, integer(0, 10_000)] = 0
+    shown_steps: Annotated[int, integer(0, 10_000_000)] = 0
     evaluate: Annotated[tuple[str, ...], _OPTIONS] = ()
     categories: Annotated[tuple[str, ...], _CATEGORIES] = tuple(CATEGORIES)
     splits: Annotated[tuple[str, ...], _SPLITS] = ("seen", "unseen")
@@ -297,6 +299,8 @@ def parse_declaration(content: Mapping[str, Any]) -> Declaration:
             raise ValueError(f"scales.{name}.evaluate has {foreign[0]}, the weights or data of a method")
         if scale.shown and not scale.held_out:
             raise ValueError(f"scales.{name}.shown needs held_out")
+        if bool(scale.shown) != bool(scale.shown_steps):
+            raise ValueError(f"scales.{name} needs both shown and shown_steps, or none of them")
     for effect in declaration.effects:
         _require("effects.method", effect.method, declaration.methods)
         _require("effects.without", effect.without, declaration.methods)

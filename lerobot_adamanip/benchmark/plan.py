@@ -258,12 +258,6 @@ def _learning(
         names = scale.trained_categories(cell.category)
         others = [replace(cell, method=method.data_of, category=category) for category in names]
         parts = [_learning(other, declaration, scale_name, versions, like=like)[0] for other in others]
-        if scale.shown:
-            objects = f"0:{min(scale.shown, SEEN_COUNTS[cell.category])}"
-            few = replace(
-                scale, objects=objects, objects_at={}, demonstrations=scale.shown, demonstrations_per_object=False
-            )
-            parts.append(_collection(cell, like, few, versions))
         data = _merge(tuple(parts))
     else:
         data = _collection(cell, like, scale, versions)
@@ -273,6 +267,13 @@ def _learning(
         data = _merge((data, corrected))
         start = training if round_.start == "trained" else None
         training = _training(cell, method, scale, data, versions, steps=round_.steps, start=start)
+    if scale.shown and method.data_of:
+        objects = f"0:{min(scale.shown, SEEN_COUNTS[cell.category])}"
+        few = replace(
+            scale, objects=objects, objects_at={}, demonstrations=scale.shown, demonstrations_per_object=False
+        )
+        data = _collection(cell, like, few, versions)
+        training = _training(cell, method, scale, data, versions, steps=scale.shown_steps, start=training)
     return data, training
 
 

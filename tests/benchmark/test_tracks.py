@@ -12,7 +12,17 @@ from benchmark_helpers import SCALE, VERSIONS, content
 
 from lerobot_adamanip.benchmark import declaration
 from lerobot_adamanip.benchmark.declaration import PAPER_TABLE, parse_declaration, read_declaration
-from lerobot_adamanip.benchmark.plan import COLLECT, EVALUATE, MERGE, Cell, Step, all_cells, plan
+from lerobot_adamanip.benchmark.plan import (
+    COLLECT,
+    EVALUATE,
+    MERGE,
+    TRAIN,
+    Cell,
+    Step,
+    all_cells,
+    last_checkpoint,
+    plan,
+)
 from lerobot_adamanip.benchmark.report import make_report, scene_options
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.sensing import parse_sensing
@@ -66,8 +76,21 @@ def test_no_training_sees_a_held_out_category_beyond_what_is_declared(scale: str
         few = {category: "0:5"} if scale.endswith("five") else {}
         assert seen == {**dict.fromkeys(set(CATEGORIES) - set(group), "seen"), **few}
         assert sum(step.kind == MERGE for step in steps) == 1
-        trainings.setdefault(str(group), set()).add(steps[-2].key)
-    assert {len(keys) for keys in trainings.values()} == {2 if scale.endswith("five") else 1}, "shared if equal"
+        trained = [step for step in steps if step.kind == TRAIN]
+        assert len(trained) == 1 + bool(few)
+        trainings.setdefault(str(group), set()).add(trained[0].key)
+        if few:
+            assert last_checkpoint(trained[0].product).as_posix() == options(trained[1])["--policy.path"]
+            assert options(trained[1])["--steps"] == str(TRACKS.scale(scale).shown_steps)
+    assert {len(keys) for keys in trainings.values()} == {1}, "shared by the categories of a group"
+
+
+def test_what_is_trained_on_other_categories_does_not_depend_on_what_is_shown_then() -> None:
+    first = [
+        next(step.key for step in chain(scale, "dp3_adaptive_elsewhere", "pen") if step.kind == TRAIN)
+        for scale in ("held_out_category", "held_out_category_five")
+    ]
+    assert first[0] == first[1]
 
 
 def test_shown_demonstrations_are_as_many_as_declared_and_of_seen_objects() -> None:
@@ -103,6 +126,7 @@ def test_hints_and_repeats_reach_the_commands() -> None:
     ("changes", "message"),
     [
         ({"held_out": [["safe"]]}, "has no data_of"), ({"shown": 5}, "shown needs held_out"),
+        ({"shown_steps": 5}, "needs both shown and shown_steps"),
         ({"held_out": [["fridge"]]}, "held_out"), ({"mechanism_rules": "rows"}, "mechanism_rules"),
         ({"hints": 2.0}, "hints"),
     ],
