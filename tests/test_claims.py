@@ -71,7 +71,7 @@ def gain(
     """Returns the same in points, with its interval."""
     difference = gap(min_outcome, objects, categories, methods)
     values = difference.difference, difference.low, difference.high
-    return "{:+.0f} [{:+.0f}, {:+.0f}]".format(*(100 * value for value in values))  # -0 is below zero
+    return "{:+d} [{:+d}, {:+d}]".format(*(round(100 * value) for value in values))
 
 
 def listed(words: Sequence[str]) -> str:
@@ -324,9 +324,7 @@ def test_failures_in_a_row_are_counted_as_said() -> None:
         sum(each[end] for each in failures.values()) for end in ("key moved", "tried in vain", "ajar", "no try")
     )
     count = sum(metrics.success.episodes for metrics in rows.values())
-    text = (
-        f"Of {count} rows that `dp3_adaptive` has learned, {moved + vain + ajar + none} stay shut: in {moved} the key "
-    )
+    text = f"Of {count} scenes of `row`, `dp3_adaptive` leaves {moved + vain + ajar + none} shut: in {moved} the key "
     text += f"alone has moved, in {vain} nothing has ({failures['safe']['tried in vain']} at safes), "
     text += f"in {ajar} the part is ajar, in {none} nothing was tried. "
     text += f"Pens open in {rows['pen'].success.count} of 60 scenes, windows in {rows['window'].success.count}."

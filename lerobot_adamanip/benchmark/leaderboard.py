@@ -254,6 +254,6 @@ def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
     ]
     table = markdown_table(titles, lines) if lines else "No entry yet."
     explanation = f"""Opened {METRICS["within_best_tries"].title.removeprefix("opened ")}, means over the categories of
-three [tracks](tracks.md); the mean of the four columns decides the order.
+three [tracks](tracks.md), `real_sensors` on unseen and on novel objects; the mean of the four decides the order.
 Entries of an earlier simulation version are named with it and come last: their scenes are others."""
     return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"
