@@ -99,11 +99,11 @@ def append_line(path: Path, line: str) -> None:
             rest = rest[file.write(rest) :]
 
 
-def last_line(path: Path, within: int = 4096) -> str:
-    """Returns the last non-empty line of a log; "" if its last ``within`` bytes have none."""
+def last_line(path: Path) -> str:
+    """Returns the last non-empty line of a log; "" if its last 4096 bytes have none."""
     try:
         with open(path, "rb") as file:
-            file.seek(max(0, path.stat().st_size - within))
+            file.seek(max(0, path.stat().st_size - 4096))
             lines = file.read().decode(errors="replace").splitlines()
     except OSError:
         return ""

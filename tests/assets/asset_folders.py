@@ -176,6 +176,13 @@ def partnet_safe(folder: Path) -> Path:
     return folder
 
 
+def annotated(folder: Path, **changes: Any) -> Path:
+    """The same safe with an annotation, some of whose values are changed."""
+    partnet_safe(folder)
+    (folder / "adamanip.json").write_text(json.dumps(safe_annotation(**changes)))
+    return folder
+
+
 def safe_annotation(**changes: Any) -> dict[str, Any]:
     """The annotation tool's file for `partnet_safe`, at 0.4 m a unit."""
     turned = [[0, 0, -1], [0, 1, 0], [1, 0, 0]]  # approach -x, fingers close along y

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import zipfile
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from asset_folders import adamanip_bottle, adamanip_safe, joint, partnet_safe, safe_annotation
+from asset_folders import adamanip_bottle, adamanip_safe, annotated, joint, partnet_safe, safe_annotation
 
 from lerobot_adamanip.assets import AssetSource, load_object
 from lerobot_adamanip.util.errors import ConfigurationError
@@ -163,12 +162,6 @@ def test_joints_of_the_wrong_kind(tmp_path: Path) -> None:
     refused(folder, "two joints that move")
 
 
-def with_annotation(folder: Path, **changes: object) -> Path:
-    partnet_safe(folder)
-    (folder / "adamanip.json").write_text(json.dumps(safe_annotation(**changes)))
-    return folder
-
-
 NAN, NO_FLOAT = float("nan"), 10**400
 SLANTED = [[1, 0, 0, 0], [0, 2, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]
 DOOR, KNOB = safe_annotation()["joints"]["door"], safe_annotation()["joints"]["knob"]
@@ -207,7 +200,7 @@ FAR = np.block([[np.eye(3), np.full((3, 1), 2.0)], [np.zeros(3), 1]]).tolist()
     ],
 )
 def test_a_wrong_annotation(tmp_path: Path, changes: dict[str, object], match: str) -> None:
-    refused(with_annotation(tmp_path / "101564", **changes), match)
+    refused(annotated(tmp_path / "101564", **changes), match)
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "[" * 100_000, "null"])

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
-from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, write_box
+from asset_folders import adamanip_bottle, adamanip_safe, annotated, write_box
 
 from lerobot_adamanip.assets import AssetSource, load_object
 from lerobot_adamanip.assets.annotation.session import Draft
@@ -34,12 +32,6 @@ def edited(folder: Path, *changes: tuple[str, str]) -> Path:
         assert old in text
         text = text.replace(old, new)
     path.write_text(text)
-    return folder
-
-
-def annotated(folder: Path, **changes: Any) -> Path:
-    partnet_safe(folder)
-    (folder / "adamanip.json").write_text(json.dumps(safe_annotation(**changes)))
     return folder
 
 

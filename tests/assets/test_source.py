@@ -8,7 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe, safe_annotation, unidoormanip_door, write_box
+from asset_folders import (
+    adamanip_bottle,
+    adamanip_safe,
+    annotated,
+    partnet_safe,
+    safe_annotation,
+    unidoormanip_door,
+    write_box,
+)
 from solids import face_planes, solid
 
 from lerobot_adamanip.assets import AssetSource, is_asset_id, load_object
@@ -19,12 +27,6 @@ from lerobot_adamanip.catalog import make_object
 from lerobot_adamanip.mechanisms import infeasible
 from lerobot_adamanip.objects import ArticulatedObject
 from lerobot_adamanip.util.errors import ConfigurationError
-
-
-def annotated_partnet_safe(folder: Path) -> Path:
-    partnet_safe(folder)
-    (folder / "adamanip.json").write_text(json.dumps(safe_annotation()))
-    return folder
 
 
 def closing(obj: ArticulatedObject, part: str) -> np.ndarray:
@@ -97,7 +99,7 @@ def test_partnet_mobility_needs_the_annotation_tool(tmp_path: Path) -> None:
 def test_every_collision_shape_is_convex_and_unseen_and_near_what_is_seen(tmp_path: Path) -> None:
     for obj in (
         load_object(adamanip_safe(tmp_path / "sa1"), "safe"),
-        load_object(annotated_partnet_safe(tmp_path / "101564"), "safe"),
+        load_object(annotated(tmp_path / "101564"), "safe"),
     ):
         shapes = [shape for link in obj.links for shape in link.shapes]
         assert {shape.visible for shape in shapes if shape.collides} == {False}
@@ -167,7 +169,7 @@ def test_a_wrong_selection_is_refused(tmp_path: Path, selection: str) -> None:
 
 
 def test_an_edited_mesh_in_a_folder_below_is_read_again(tmp_path: Path) -> None:
-    folder = annotated_partnet_safe(tmp_path / "101564")
+    folder = annotated(tmp_path / "101564")
     before = load_object(folder, "safe")
     assert load_object(folder, "safe") is before
     write_box(folder / "textured_objs" / "original-0.obj", (1.0, 0.05, 1.2), (0, -0.475, 0.15))

@@ -18,7 +18,7 @@ import pyarrow.parquet as pq
 
 from lerobot_adamanip.collection.collect import CollectOptions
 from lerobot_adamanip.collection.record import Factories
-from lerobot_adamanip.datasets.collection_spec import CollectionSpec
+from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec
 from lerobot_adamanip.datasets.encoding import preparing_session
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util import files
@@ -158,3 +158,8 @@ def dies_at(run: Callable[[], object], point: str) -> bool:
         files.on_crash_point = lambda passed: os._exit(KILLED) if passed == point else None
 
     return dies(run, ready)
+
+
+def finished_shards(root: Path) -> dict[str, bytes]:
+    """Name -> content of each episode's file, before the dataset is written."""
+    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.glob("*.safetensors")}

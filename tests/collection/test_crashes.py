@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from demos_fake_env import make_env, make_expert
-from demos_helpers import InThisProcess, dies, dies_at, make_spec, same_bytes
+from demos_helpers import InThisProcess, dies, dies_at, finished_shards, make_spec, same_bytes
 
 from lerobot_adamanip.collection.collect import CollectOptions, collect
 from lerobot_adamanip.collection.record import Factories
@@ -49,10 +49,6 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def same_collection(whole: Path, root: Path) -> None:
     same_bytes(whole.parent, root.parent)
-
-
-def finished_shards(root: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.glob("*.safetensors")}
 
 
 @contextmanager

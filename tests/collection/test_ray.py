@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from demos_helpers import HERE, fakes, make_spec, patiently, same_bytes
+from demos_helpers import HERE, fakes, finished_shards, make_spec, patiently, same_bytes
 from jobs_helpers import session
 from two_nodes import TOKEN, TwoNodes
 
@@ -213,23 +213,19 @@ def test_twenty_random_crashes_lose_nothing(tmp_path: Path, finished: Path, two:
         root.parent.mkdir()
         process = start(root.parent, root, two)
         kind = ("actor", "node", "driver")[number % 3]
-        while not shards(root) and process.poll() is None:
+        while not finished_shards(root) and process.poll() is None:
             time.sleep(0.02)
         time.sleep(float(rng.uniform(0.0, 1.0)))
-        before = shards(root)
+        before = finished_shards(root)
         crashes.append((kind, end_one(kind, process, two)))
         if kind != "driver":
             assert process.wait(120) == 0
         elif not root.exists():
-            assert before.items() <= shards(root).items()
+            assert before.items() <= finished_shards(root).items()
             collect(root, make_spec(), fakes(), patiently(workers=2, cluster=two.address))
         same_bytes(finished, root)
     print(json.dumps(crashes))
     assert sum(crashed for _, crashed in crashes) >= CRASHES // 2
-
-
-def shards(root: Path) -> dict[str, bytes]:
-    return {path.name: path.read_bytes() for path in CollectionPaths(root).episodes.glob("*.safetensors")}
 
 
 def start(folder: Path, root: Path, two: TwoNodes) -> subprocess.Popen[bytes]:

@@ -52,7 +52,7 @@ def test_a_cross_section_keeps_its_width_and_depth(squareness: float) -> None:
 def test_a_picture_lies_on_the_surface_and_faces_outward() -> None:
     profile = (Ring(0.0, 0.03), Ring(0.1, 0.04))
     for curves in (patch(0.05, 0.02, 0.07), oval(0.04, 0.03, 0.05), oval(0.04, 0.03, 0.05, sharp=True)):
-        shape = decal(profile, curves, PLAIN, turn=0.4, layer=2)
+        shape = decal(profile, curves, PLAIN, layer=2)
         assert not shape.collides
         assert shape.vertices is not None
         assert shape.faces is not None
@@ -64,7 +64,7 @@ def test_a_picture_lies_on_the_surface_and_faces_outward() -> None:
         normals, _ = face_planes(shape) if areas.min() > 0 else (None, None)
         if normals is not None:
             assert np.all(np.sum(normals[:, :2] * corners.mean(axis=1)[:, :2], axis=1) > 0)
-        assert np.arctan2(shape.vertices[:, 1], shape.vertices[:, 0]).mean() == pytest.approx(0.4, abs=1e-3)
+        assert np.arctan2(shape.vertices[:, 1], shape.vertices[:, 0]).mean() == pytest.approx(0.0, abs=1e-3)
 
 
 def test_ribs_are_decoration_around_a_radius() -> None:

@@ -102,7 +102,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     ),
     "dp3": (
         ("pose_layout=false", "control_fps=5", "num_points=16"),
-        ("noise_scheduler_type=DDPM", "num_inference_steps=1", "n_action_steps=2", "balance_tasks=true"),
+        ("noise_scheduler_type=DDPM", "num_inference_steps=1", "n_action_steps=2"),
     ),
 }
 """Policy -> options that change what its weights see or mean, and options that do not."""

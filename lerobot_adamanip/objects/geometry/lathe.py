@@ -160,7 +160,6 @@ def decal(
     curves: Curves,
     material: Material,
     *,
-    turn: float = 0.0,
     layer: int = 1,
     axis: tuple[float, float] = (0.0, 0.0),
 ) -> Shape:
@@ -170,7 +169,6 @@ def decal(
         rings: profile of the surface.
         curves: see `Curves`; `patch` and `oval` create some.
         material: look of the picture.
-        turn: azimuth of the picture's middle from +x [rad].
         layer: 1 is directly on the surface, 2 on layer 1, and so on.
         axis: (x, y) of the surface's axis in the link's frame [m].
     """
@@ -178,7 +176,7 @@ def decal(
     rows = 9
     heights = lower + (upper - lower) * np.linspace(0.0, 1.0, rows)[:, None]
     # One angle per column keeps the edges of a picture vertical on a tapered bottle.
-    angles = turn + across / ring_at(rings, float(heights.mean())).radius
+    angles = across / ring_at(rings, float(heights.mean())).radius
     points = _outline(heights, _section_at(rings, heights), np.broadcast_to(angles, heights.shape), layer * PROUD)
     index = np.arange(heights.size).reshape(heights.shape)
     corners = (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1])
@@ -192,11 +190,11 @@ def patch(width: float, bottom: float, top: float, columns: int = 25) -> Curves:
     return across, np.full(columns, bottom), np.full(columns, top)
 
 
-def oval(width: float, height: float, middle: float, *, sharp: bool = False, shift: float = 0.0) -> Curves:
+def oval(width: float, height: float, middle: float, *, sharp: bool = False) -> Curves:
     """Returns the curves of an ellipse (or, ``sharp``, a rhombus) around ``middle`` [m], for `decal`."""
     along = np.linspace(-1.0, 1.0, 25)
     half: Array = 0.5 * height * (1 - np.abs(along) if sharp else np.sqrt(np.maximum(0.0, 1 - along**2)))
-    return shift + along * width / 2, middle - half, middle + half
+    return along * width / 2, middle - half, middle + half
 
 
 def _quads(a: NDArray[np.int64], b: NDArray[np.int64], c: NDArray[np.int64], d: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -203,12 +203,6 @@ def mirrored_motions(motions: Tensor) -> Tensor:
     return motions * constant((1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0), motions)
 
 
-def fingers_swapped(pose: Tensor) -> Tensor:
-    """Returns poses (..., 10) rotated by pi about the approach: an equivalent grasp."""
-    return pose * constant((1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0), pose)
-
-
-@_in_float32
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     """Transforms points (..., N, 3) [m, base frame] to the frame of tool poses (..., 10)."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])

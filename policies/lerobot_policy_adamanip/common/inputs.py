@@ -27,7 +27,7 @@ from lerobot_policy_adamanip.common import strokes
 from lerobot_policy_adamanip.common.config import CloudPolicyConfig, wrong_number_of_points
 
 _logger = logging.getLogger(__name__)
-INDEX, EPISODE, TASK = "index", "episode_index", "task_index"
+INDEX, EPISODE = "index", "episode_index"
 IS_LABEL = "is_label"
 """Column of `read_recorded_rows`: whether a row's action is a training label."""
 DEPARTS = "departs"
@@ -254,18 +254,6 @@ def _stroke_numbers(columns: Mapping[str, NDArray[Any]]) -> NDArray[np.int64]:
         for start, end in zip([0, *ends[:-1]], ends, strict=True)
     ]
     return np.cumsum(np.concatenate(parts), dtype=np.int64)
-
-
-def balanced_weights(task: NDArray[Any], trained: NDArray[np.bool_]) -> Tensor:
-    """Returns weights by task index, inverse to the tasks' numbers of trained rows; their mean over these rows is 1.
-
-    Args:
-        task: (R,) task index of each row. A dataset with a memory as text has several tasks in an episode.
-        trained: (R,) whether a row is trained on.
-    """
-    rows = np.bincount(task[trained], minlength=1 + int(task.max()))
-    weights = rows.sum() / np.count_nonzero(rows) / np.maximum(rows, 1)
-    return torch.from_numpy(np.where(rows > 0, weights, 0.0).astype(np.float32))
 
 
 def check_batch(config: Any, batch: Mapping[str, Any], state: Tensor, actions: Tensor, mirrored: float) -> None:

@@ -111,7 +111,7 @@ HORIZONS = ("horizon", "n_action_steps", "n_obs_steps", "n_action_history_steps"
 
 FREE = {
     "inference", "n_action_steps", "memory_episodes", "num_refinements", "noise_scheduler_type",
-    "num_inference_steps", "balance_tasks", "training_points", "augmentation_mirror",
+    "num_inference_steps", "training_points", "augmentation_mirror",
     "augmentation_earlier_episodes", "optimizer_lr", "scheduler_warmup_steps",
 }  # fmt: skip
 """Options of training, and of draws at run time, see `CloudPolicyConfig.FREE_OPTIONS`."""
@@ -175,8 +175,6 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
     use_effort: bool = False
     # Use the instruction as an input, for one policy of several tasks.
     use_instruction: bool = False
-    # Training only: weight rows so that all tasks have the same weight.
-    balance_tasks: bool = False
     # Use results of past actions as inputs: the undone motion, and the reached gripper opening (keyframe True, dense
     # True).
     use_feedback: bool = from_preset()

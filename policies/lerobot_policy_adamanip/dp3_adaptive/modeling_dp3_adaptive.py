@@ -107,7 +107,6 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     def _attach_dataset(self, dataset_meta: Any, *, is_trained: bool) -> None:
         """Reads the dataset columns for training."""
-        self._task_weights: Tensor | None = None
         self.recorded: inputs.RecordedRows | None = None
         self._earlier: EarlierEpisodes | None = None
         self._batch_is_checked = False
@@ -131,10 +130,6 @@ class DP3AdaptivePolicy(CloudPolicy):
             stats = schema.fix_pose_statistics(stats)
         features = {schema.STATE: config.input_features[schema.STATE], schema.ACTION: config.action_feature}
         self._normalize = NormalizerProcessorStep(features, config.normalization_mapping, stats)
-        if config.balance_tasks:
-            task = inputs.read_columns(dataset_meta, (inputs.TASK,))[inputs.TASK].reshape(-1)
-            trained = self.recorded.column(inputs.IS_TRAINED, torch.arange(len(task)))
-            self._task_weights = inputs.balanced_weights(task, trained.numpy())
 
     def fit_anchors(self, motions: Tensor) -> None:
         """Fits an untrained policy's anchors to demonstrated motions (M, 7) [m, rad, -]."""
@@ -155,9 +150,6 @@ class DP3AdaptivePolicy(CloudPolicy):
         """
         window, actions, is_label = self.training_window(batch)
         losses, weights, metrics = self._active_model().loss(window, actions, is_label)
-        if self._task_weights is not None:
-            self._task_weights = self._task_weights.to(losses)
-            weights = weights * self._task_weights[batch[inputs.TASK]]
         if reduction != "mean":
             require_choice("reduction", reduction, ("mean", "none"))
             return len(losses) * losses * weights / weights.sum().clamp(min=1), {}

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from lerobot_adamanip.contract import schema
 from lerobot_policy_adamanip.common.contacts import END, EVENT_DIM, ContactMemory, Past
-from lerobot_policy_adamanip.common.geometry import fingers_swapped, motion_between, pose_after
+from lerobot_policy_adamanip.common.geometry import motion_between, pose_after
 from lerobot_policy_adamanip.common.inputs import Window
 from lerobot_policy_adamanip.dp3_adaptive import no_repeat
 from lerobot_policy_adamanip.dp3_adaptive.configuration_dp3_adaptive import Inference
@@ -149,7 +149,8 @@ def test_a_failure_is_the_same_whichever_way_round_the_part_is_held() -> None:
     """Seen from a hand that was turned half way about its approach, the same motion has another sign."""
     commands, poses, valid = played((PULL, 0.0), (TURN, 0.0))
     goals = [pose_after(motion, poses[0, -1]) for motion in (PULL, -PULL)]
-    poses[:, -1] = fingers_swapped(poses[:, -1])
+    # Turned by pi about the approach: an equivalent grasp.
+    poses[:, -1] *= torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0, 1.0, -1.0, -1.0, 1.0, 1.0])
     pull, back = (torch.cat([motion_between(goal, poses[0, -1])[:3], torch.zeros(4)]) for goal in goals)
     torch.testing.assert_close(pull, -PULL, rtol=0, atol=1e-6)
     assert repeats((commands, poses, valid), pull, back, TURN, -TURN) == [True, False, True, False]

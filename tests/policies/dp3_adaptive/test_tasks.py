@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
 import pytest
 import torch
 from lerobot.processor.converters import batch_to_transition, transition_to_batch
@@ -14,7 +13,6 @@ from lerobot.processor.converters import batch_to_transition, transition_to_batc
 from lerobot_adamanip.contract import schema
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError
-from lerobot_policy_adamanip.common.inputs import balanced_weights
 from lerobot_policy_adamanip.dp3_adaptive.processor_dp3_adaptive import (
     INSTRUCTION,
     INSTRUCTION_DIM,
@@ -65,29 +63,3 @@ def test_what_it_is_told_counts_in_training_and_at_run_time_alike(
 
     assert torch.equal(act("open the safe"), act("open the safe"))
     assert not torch.equal(act("open the safe"), act("take the cap off the bottle"))
-
-
-# Tasks count alike --------------------------------------------------------------------------------------------------
-
-
-def test_rows_of_a_rare_task_weigh_more_and_all_together_as_much_as_before() -> None:
-    """Rows of one episode may have several tasks, as with a memory as text. Task 3 is of held-out rows alone."""
-    task, rows = np.repeat([0, 1, 0, 2, 3], [30, 10, 50, 30, 20]), torch.tensor([80.0, 10.0, 30.0, 0.0])
-    shares = balanced_weights(task, task < 3) * rows
-    torch.testing.assert_close(shares, torch.tensor([40.0, 40.0, 40.0, 0.0]))
-    assert float(shares.sum()) == pytest.approx(float(rows.sum()))
-
-
-def test_the_loss_is_weighted_by_task(make_tiny: MakeTiny, batch_of: Any) -> None:
-    policy, before, _, dataset = make_tiny(preset="keyframe", balance_tasks=True)
-    batch = batch_of(dataset, before, 1, 5, 14)
-    assert INSTRUCTION not in batch
-    torch.manual_seed(0)
-    each, _ = policy(batch, reduction="none")  # all three have a label
-    each = each.detach()
-    assert float(policy._task_weights[0]) == pytest.approx(1.0)  # of one task alone nothing changes
-    policy._task_weights = torch.tensor([1.0, 3.0])
-    batch["task_index"] = torch.tensor([0, 1, 0])
-    torch.manual_seed(0)
-    weighed, _ = policy(batch)
-    assert float(weighed.detach()) == pytest.approx(float((each[0] + 3 * each[1] + each[2]) / 5), rel=1e-5)
