@@ -100,7 +100,8 @@ class AdaManipEnvConfig(EnvConfig):
     repeats: int = 1
     # Split of scenes, without overlap: train, validation (for selection), or test (for reported numbers).
     split: str = "validation"
-    # Source of point clouds: raycast (no renderer), or render (seven times slower). The clouds are equal.
+    # Source of point clouds: raycast (no renderer), or render (seven times slower). The clouds are equal above the
+    # ground, which ray-cast ones do not have.
     cloud_source: str = "raycast"
     # Errors of sensors: exact, d435 (a calibrated D435), rough, or one of them with single parts changed, for instance
     # d435,camera_error_mm=20. See docs/sensing.md.
@@ -332,7 +333,7 @@ class AdaManipSuiteEnvConfig(AdaManipEnvConfig):
         """Returns the category names; raises `ConfigurationError` for an unknown one."""
         if self.categories == ALL:
             return tuple(CATEGORIES)
-        names = tuple(name.strip() for name in self.categories.split(",") if name.strip())
+        names = tuple(name.strip() for name in str(self.categories).split(",") if name.strip())
         if not names or len(set(names)) != len(names) or not set(names) <= set(CATEGORIES):
             raise ConfigurationError(
                 "Unknown categories.",

@@ -52,8 +52,9 @@ if TYPE_CHECKING:  # the simulator is imported at the first reset
     from lerobot_env_adamanip.sim.tasks import AdaManipTask
 
 Observation = dict[str, Any]
-SCENE_TRIES = 4
-"""Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed."""
+SCENE_TRIES, OBJECT_TRIES = 4, 100
+"""Maximum number of scenes that a reset tries: the seed's own, then others derived from the seed. Those of objects that
+no pose can place, as of half of the windows with fixed poses, count as the second only."""
 _logger = logging.getLogger(__name__)
 
 
@@ -304,15 +305,15 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
 
     def _load_scene(self, task: AdaManipTask, seed: int, chosen: dict[str, Any]) -> int:
         """Resets the simulator to a reachable scene; returns its seed."""
-        first, attempt = seed, 0
+        first, attempt, unlucky = seed, 0, 0
         is_one_object = "object_id" in chosen or len(task.object_ids) == 1
         while True:
             try:
                 task.reset(seed=seed, options={"reconfigure": True, **chosen})
                 return seed
             except UnreachableError as error:
-                attempt += 1
-                if attempt == SCENE_TRIES or (error.is_certain and is_one_object):
+                attempt, unlucky = attempt + 1, unlucky + (not error.is_certain)
+                if unlucky == SCENE_TRIES or attempt == OBJECT_TRIES or (error.is_certain and is_one_object):
                     raise
                 seed = retried_seed(first, self.options.split, attempt)
                 _logger.warning("Seed %d: %s Another scene is drawn: seed %d.", first, str(error).split("\n")[0], seed)
@@ -408,8 +409,9 @@ class KeyframeEnv(gym.Env[Observation, NDArray[np.float32]]):
         return {**observation, "pixels": images} if images else observation
 
     def render(self) -> NDArray[np.uint8]:
-        """Returns the latest image of the front camera (H, W, 3), late with a sensor's delay; black before an episode.
+        """Returns the latest image of the front camera (H, W, 3); black before an episode.
 
+        Where the camera is observed, it is late with a sensor's delay.
         It is drawn by ray casting if that is the source of images, or, with a warning, without a Vulkan device.
         """
         size = self.options.image_size

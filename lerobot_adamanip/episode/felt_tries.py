@@ -38,8 +38,11 @@ FREE_SHARE = 0.8
 """Share of a commanded motion from which on an empty hand has touched nothing. A pressed button lets it cover 0.5."""
 MIN_STROKE = 0.1
 """Least size of a stroke's commanded motion in `MOTION_UNITS`."""
-HELD_S = 0.3
-"""Time for which the hand is held back before an unfinished try counts as felt [s]."""
+HELD_SPEED = 0.32
+"""Speed along its command below which a pushing hand is held back at control rate, in `MOTION_UNITS` a second: 16 mm or
+0.16 rad. An arm that starts from rest towards a far goal is faster after one step."""
+BRIEF_S, HELD_S = 0.1, 0.3
+"""Time for which the hand is held back at the end of a try that was blocked, and before an unfinished one counts [s]."""
 SAME_PLACE_M = 0.05
 """Largest distance between two places that are the same, for tries that are the same."""
 
@@ -104,7 +107,8 @@ class FeltTries:
     """
 
     def __init__(self, fps: int | None = None) -> None:
-        self._held_steps = None if fps is None else max(1, math.ceil(HELD_S * fps))
+        self._fps = fps
+        self._brief, self._held_steps = (None if fps is None else math.ceil(each * fps) for each in (BRIEF_S, HELD_S))
         self._min_motion = (MIN_SHIFT_M, MIN_TURN_RAD) if fps is None else (MIN_LAG_M, MIN_LAG_RAD)
         self._ended: list[FeltEvent] = []
         self._was_closed = False
@@ -141,7 +145,8 @@ class FeltTries:
             return
         start = before if self._stroke is None else self._stroke.start
         held = 0 if self._stroke is None else self._stroke.held
-        held = held + 1 if share < FELT_SHARE else 0
+        is_slow = self._fps is None or share * float(np.linalg.norm(commanded)) * self._fps < HELD_SPEED
+        held = held + 1 if share < FELT_SHARE and is_slow else 0
         self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, commanded, held)
         if self._held_steps is None:
             self._end()
@@ -151,12 +156,13 @@ class FeltTries:
         self._ended, self._stroke = self._with_stroke(self._stroke), None
 
     def _with_stroke(self, stroke: _Stroke) -> list[FeltEvent]:
-        """Returns the tries with a stroke, unless it moved freely or was too small to be one."""
-        event = stroke.event()
-        share = _share(event.commanded, event.measured)
-        is_free = stroke.start.gripper < EMPTY_HAND and share >= FREE_SHARE
-        is_small = self._held_steps is not None and float(np.linalg.norm(event.commanded)) < MIN_STROKE
-        return self._ended if is_free or is_small else _with(self._ended, event)
+        """Returns the tries with a stroke, unless it moved freely, or was too small or too brief to be one."""
+        event, is_empty = stroke.event(), stroke.start.gripper < EMPTY_HAND
+        is_none = is_empty and _share(event.commanded, event.measured) >= FREE_SHARE
+        if self._brief is not None:
+            is_small = float(np.linalg.norm(event.commanded)) < MIN_STROKE
+            is_none |= is_small or (stroke.held < self._brief and (is_empty or event.blocked))
+        return self._ended if is_none else _with(self._ended, event)
 
 
 @dataclass(frozen=True)

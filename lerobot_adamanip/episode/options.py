@@ -25,7 +25,7 @@ POSES = ("randomized", "fixed")
 RENDER_BACKENDS = ("auto", "cuda", "cpu")
 """``auto``: the first of the other two that works on this machine."""
 CLOUD_SOURCES = ("raycast", "render")
-"""``raycast``: by embreex, no renderer needed; ``render``: by the renderer, seven times slower. Equal clouds."""
+"""``raycast``: by embreex, no renderer needed, without the ground; ``render``: by the renderer, seven times slower."""
 RAYCAST, RENDER = "raycast", "render"
 IMAGE_SOURCES = (RAYCAST, RENDER)
 """``raycast``: coloured images by ray casting, on any machine; ``render``: by the renderer, which needs Vulkan."""
@@ -194,10 +194,14 @@ class EnvironmentOptions:
         from lerobot_adamanip.mechanisms import make_mechanism
 
         fixed = dict(self.hidden_overrides)
-        if chosen := {key: one for key, one in fixed.items() if not isinstance(one, float) or not math.isfinite(one)}:
+        if fixed:
             mechanism = make_mechanism(get_object(object_id, self.assets), self.mechanism_rules)
-            hidden = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category), chosen))
-            fixed |= {name: hidden[name] for name in chosen}
+            drawn = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category)))
+            ranges = {name for name, one in fixed.items() if isinstance(one, float) and 0 < one < math.inf}
+            ranges = {name for name in ranges if isinstance(drawn.get(name), float)}
+            chosen = {name: one for name, one in fixed.items() if name not in ranges}
+            drawn = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category), chosen))
+            fixed |= {name: drawn[name] for name in chosen}
         object.__setattr__(self, "hidden_overrides", MappingProxyType(fixed))
         if self.cameras is not None:
             hint = "--env.cameras='[front,wrist]', or --env.observe_images=false"

@@ -15,7 +15,7 @@ from lerobot_adamanip.contract.seeds import split_of
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.experts import Phase
 from lerobot_adamanip.util.errors import ConfigurationError, UnreachableError
-from lerobot_env_adamanip.keyframe_env import EpisodeLog, KeyframeEnv
+from lerobot_env_adamanip.keyframe_env import SCENE_TRIES, EpisodeLog, KeyframeEnv
 
 pytestmark = pytest.mark.sim
 
@@ -229,6 +229,28 @@ def test_out_of_reach_another_scene_of_the_seed_is_drawn(
         env.reset(seed=9)
     with pytest.raises(gym.error.ResetNeeded):
         env.step(np.zeros(10, np.float32))
+
+
+def test_an_object_that_no_pose_can_place_is_replaced_as_often_as_it_takes(
+    env: KeyframeEnv, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With fixed poses half of the windows are such objects: four in a row are no rare draw."""
+    env.reset(seed=1)
+    task, asked = env.episode.task, []
+    real = task.reset
+
+    def reset(seed: int, options: dict[str, Any]) -> Any:
+        asked.append(seed)
+        if len(asked) <= 3 * SCENE_TRIES:
+            error = UnreachableError("It cannot be placed.")
+            error.is_certain = True
+            raise error
+        return real(seed=seed, options=options)
+
+    monkeypatch.setattr(task, "reset", reset)
+    env.reset(seed=9)
+    assert len(set(asked)) == len(asked) == 3 * SCENE_TRIES + 1
+    assert env.episode_record()["seed"] == asked[-1]
 
 
 def test_an_environment_tells_its_versions_and_renderer(env: KeyframeEnv) -> None:

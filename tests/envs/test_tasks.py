@@ -125,8 +125,38 @@ def test_maniskills_state_is_the_arm_alone() -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}, {"split": "test"}]
-)
+    "wrong",
+    [
+        {"num_envs": 2}, {"sim_backend": "gpu"}, {"poses": "x"}, {"objects": "x"}, {"split": "test"},
+        {"robot_uids": "fetch"}, {"obs_mode": "pointcloud", "sensing": "rough"}, {"obs_mode": "rgb", "num_points": 64},
+    ],
+)  # fmt: skip
 def test_what_cannot_work_is_refused(env: Any, wrong: dict[str, Any]) -> None:
     with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:"):
         gym.make(SAFE, **wrong)
+
+
+@pytest.mark.parametrize("wrong", [{"object_id": "lamp_000"}, {"hidden_overrides": "locked"}])
+def test_wrong_options_of_a_reset_are_refused(env: Any, wrong: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=r"(?s)got:.*allowed:.*try:"):
+        env.reset(seed=1, options=wrong)
+
+
+def test_a_state_without_the_mechanism_cannot_be_set(env: Any) -> None:
+    env.reset(seed=1)
+    with pytest.raises(ConfigurationError, match="cannot be set"):
+        env.set_state(env.get_state())
+
+
+def test_an_arm_that_is_kept_has_as_many_solver_iterations_in_each_episode() -> None:
+    made: Any = gym.make(SAFE, obs_mode="none", reconfiguration_freq=0).unwrapped
+    try:
+        counts = []
+        for seed in (1, 2):
+            made.reset(seed=seed)
+            counts.append(made.agent.robot._objs[0].get_solver_position_iterations())
+            made.simulation.tick(made.simulation.arm_state().qpos, np.zeros(7), 0.04)  # touches nothing: fewer
+            assert made.agent.robot._objs[0].get_solver_position_iterations() < counts[0]
+        assert counts[0] == counts[1]
+    finally:
+        made.close()

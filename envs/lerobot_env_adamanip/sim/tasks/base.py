@@ -24,6 +24,7 @@ from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.hardware.calibration.self_calibration import SelfCalibration
 from lerobot_adamanip.mechanisms import make_mechanism
 from lerobot_adamanip.util.errors import ConfigurationError, require_choice
+from lerobot_env_adamanip.gym_interface import RESET_OPTIONS, reset_options
 from lerobot_env_adamanip.sim import scene
 from lerobot_env_adamanip.sim.arm_driver import TICKS_PER_SECOND, ArmDriver
 from lerobot_env_adamanip.sim.cameras import Cameras
@@ -44,6 +45,8 @@ READ_OPTIONS = (
     "workspace", "cloud_source", "sensing", "self_calibration",
 )  # fmt: skip
 """Options that a task reads; splits of scenes, limits, memories and logs are those of `KeyframeEnv`."""
+_OF_OUR_CAMERAS = ("num_points", "workspace", "cloud_source", "sensing", "self_calibration")
+"""Those of them that only `AdaManipTask.cameras` follows, not ManiSkill's own observations."""
 _OTHER_OPTIONS = {item.name for item in fields(EnvironmentOptions)} - {*READ_OPTIONS, "category"}
 
 
@@ -103,8 +106,17 @@ class AdaManipTask(BaseEnv):
                 allowed=f"sim_backend {', '.join(CPU_BACKENDS)}; num_envs 1",
                 hint="leave both out; for several: gymnasium's AsyncVectorEnv, or lerobot-eval --eval.batch_size=N",
             )
+        require_choice("robot", robot_uids, self.SUPPORTED_ROBOTS)
         for name in _OTHER_OPTIONS & kwargs.keys():
             require_choice("option of a ManiSkill task", name, READ_OPTIONS, hint="KeyframeEnv or DenseEnv")
+        if str(kwargs.get("obs_mode") or "none") not in ("none", "state", "state_dict"):
+            for name in kwargs.keys() & _OF_OUR_CAMERAS:
+                raise ConfigurationError(
+                    "ManiSkill's own observations have exact sensors and its own clouds.",
+                    got=f"{name}={kwargs[name]!r}, obs_mode={kwargs['obs_mode']!r}",
+                    allowed="obs_mode 'none' or 'state', where `cameras` of the task follows this option",
+                    hint="AdaManipKeyframe-Safe-v0 or AdaManipDense-Safe-v0, whose observations follow it",
+                )
         values = {name: kwargs.pop(name) for name in READ_OPTIONS if name in kwargs}
         options = (options or EnvironmentOptions()).changed(category=self.category, **values)
         self.options = options.changed(cloud_source=resolve_cloud_source(options.cloud_source))
@@ -173,6 +185,7 @@ class AdaManipTask(BaseEnv):
         scene.add_lights(self.scene, shadow=self.enable_shadow)
 
     def _load_scene(self, options: dict[str, Any]) -> None:
+        reset_options(self.options, None, {name: options[name] for name in RESET_OPTIONS if name in options})
         chosen = options.get("object_id") or self._stream(Stream.OBJECT).choice(self.object_ids)
         self._obj, task = get_object(str(chosen), self.options.assets), self.definition
         self._mechanism = make_mechanism(self._obj, self.options.mechanism_rules)
@@ -193,6 +206,7 @@ class AdaManipTask(BaseEnv):
         self.agent.reset(np.concatenate([self.placement.start_qpos, [0.04, 0.04]]).astype(np.float32))
         overrides = {**self.options.hidden_overrides, **(options.get("hidden_overrides") or {})}
         arm = self.agent.robot._objs[0]
+        arm.set_solver_position_iterations(self.definition.solver_iterations)  # an arm that is kept has those of before
         self.simulation = Simulation(
             self.scene.sub_scenes[0].physx_system,
             arm,
@@ -233,6 +247,15 @@ class AdaManipTask(BaseEnv):
 
     def _stream(self, stream: Stream) -> np.random.Generator:
         return episode_generator(int(self._episode_seed[0]), stream, self.category)
+
+    def set_state_dict(self, state: dict[str, Any], env_idx: torch.Tensor | None = None) -> None:
+        """Raises `ConfigurationError`: a scene's state has neither mechanism nor tries, so its joints would be undone."""
+        raise ConfigurationError(
+            "The state of an AdaManip task cannot be set.",
+            got="set_state or set_state_dict",
+            allowed="a reset with a seed, then the same actions",
+            hint="adamanip replay DIR, for recorded episodes",
+        )
 
     def _after_control_step(self) -> None:
         """Runs after each of ManiSkill's control steps; key frames have their own ticks, see `Simulation.tick`."""
