@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -62,5 +63,13 @@ def _no_effect(option: str, got: str, allowed: str) -> ConfigurationError:
 
 
 def print_result(as_json: bool, values: Mapping[str, Any], text: str) -> None:
-    """Prints one JSON object (paths as text) or a text."""
-    print(json.dumps(values, default=str) if as_json else text)
+    """Prints one JSON object (paths as text, numbers that are not finite as null) or a text."""
+    print(json.dumps(_finite(values), default=str, allow_nan=False) if as_json else text)
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -212,6 +212,7 @@ class CollectCommand:
         try:
             with show_progress(_STAGES, every_stage=True) as progress:
                 from lerobot_adamanip.collection.collect import collect
+                from lerobot_adamanip.datasets.collection_spec import CollectionPaths
                 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 
                 summary = collect(self.root, spec, self._factories(), options, progress)
@@ -220,7 +221,8 @@ class CollectCommand:
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
         if self.unscaled_poses and self.part is None:
-            leave_poses_unscaled(self.root)
+            for folder in filter(Path.is_dir, (self.root, CollectionPaths(self.root).failed)):
+                leave_poses_unscaled(folder)
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         text = summary_text(summary, self.part, self.adopt, "policy" if self.policy else "expert")
         print_result(self.json, {**dataclasses.asdict(summary), **rate}, text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from collections.abc import Iterator, Sequence
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from lerobot_adamanip.util.errors import ConfigurationError, listed, nearest, require_choice
 
@@ -18,7 +18,7 @@ def check_options(command: str, options: type[Any], arguments: Sequence[str]) ->
         options: class of the subcommand, a dataclass whose fields are the options.
         arguments: as typed, after the subcommand.
     """
-    known = dict(_options(options))
+    known, lists, given = dict(_options(options)), set(_lists(options)), set[str]()
     for place, argument in enumerate(arguments):
         if not argument.startswith("--") or argument in ("--", "--help"):
             continue
@@ -29,6 +29,14 @@ def check_options(command: str, options: type[Any], arguments: Sequence[str]) ->
             hint = f"did you mean {near}?" if near else f"adamanip {command} --help"
             what = f"Unknown option of `adamanip {command}`."
             raise ConfigurationError(what, got=typed, allowed=listed(sorted(known)), hint=hint)
+        if name in given & lists:
+            raise ConfigurationError(
+                f"{name} of `adamanip {command}` is given twice: its first values would be lost.",
+                got=f"{name} ... {name} ...",
+                allowed="all values after one of them",
+                hint=f"{name} FIRST SECOND",
+            )
+        given.add(name)
         if choices := known[name]:
             value = value if equals else "".join(arguments[place + 1 : place + 2])
             require_choice(f"value of {name}", value, choices)
@@ -50,6 +58,17 @@ def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
             kind = get_args(kind)[0]
         choices = get_args(kind) if get_origin(kind) is Literal else ()
         yield f"--{'no-' if field.default is True else ''}{name.replace('_', '-')}", choices
+
+
+def _lists(options: type[Any]) -> Iterator[str]:
+    """Yields the options with several values, of which a second one drops those of the first."""
+    from tyro.conf import UseAppendAction
+
+    appends = get_args(UseAppendAction[int])[1]
+    for name, kind in get_type_hints(options, include_extras=True).items():
+        notes, plain = getattr(kind, "__metadata__", ()), get_args(kind)[0] if get_origin(kind) is Annotated else kind
+        if get_origin(plain) is tuple and appends not in notes:
+            yield f"--{name.replace('_', '-')}"
 
 
 _OWN = {"observe_cloud=true": "--cloud", "observe_effort=true": "--effort", "observe_images=false": "--no-images"}

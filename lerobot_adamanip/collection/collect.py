@@ -124,7 +124,15 @@ def collect(
     paths = CollectionPaths(resolve_output(root))
 
     def complete() -> CollectSummary:
-        return summarize(paths.root, spec, [], seconds=time.monotonic() - begin, recording_seconds=0.0)
+        summary = summarize(paths.root, spec, [], seconds=time.monotonic() - begin, recording_seconds=0.0)
+        if summary.given_up and not options.allow_missing:
+            raise DatasetError(
+                "The dataset was finished with --allow-missing.",
+                got=f"{summary.given_up} episodes were given up, {summary.episodes} are in {paths.root}",
+                allowed="a dataset with all of them",
+                hint="the same command with --allow-missing, or another folder and a larger --max-attempts",
+            )
+        return summary
 
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
         require_finished(paths.root, _manifest(spec, factories))

@@ -21,6 +21,7 @@ from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.episode import EpisodeDescription
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
+from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import RecordedEpisode, write_shard
 from lerobot_adamanip.episode.dense import TICK
@@ -97,7 +98,9 @@ def write_key_frames(
         def advance(done: int, total: int) -> None:
             progress("assemble", done, total)
 
-        output.publish(assemble(output.fresh("dataset"), output.root.name, contents, advance))
+        built = assemble(output.fresh("dataset"), output.root.name, contents, advance)
+        keep_unscaled_poses(built, [source])
+        output.publish(built)
     return len(shards), count
 
 

@@ -75,6 +75,7 @@ def add_pictures(
         if not (output.work / MANIFEST).exists():
             output.require_free()
         source, old = _open(resolve_output(root), assets)
+        attempts = read_attempts(attempts_path(source.root))  # before the work, which a damaged list would waste
         manifest = _pictured(old, make_env)
         _require_same_work(output, manifest, source)
         if not is_free(output.root):
@@ -86,7 +87,7 @@ def add_pictures(
             manifest.spec.environment,
             repo_id or f"local/{output.root.name}",
             manifest,
-            read_attempts(attempts_path(source.root)),
+            attempts,
         )
         built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
         keep_unscaled_poses(built, [source])

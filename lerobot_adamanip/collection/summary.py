@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.catalog import category_of
+from lerobot_adamanip.datasets.attempts import attempts_path, read_attempts
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, CollectionSpec, EpisodeSpec, manifest_path
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.manifest import AttemptCounts, read_manifest
@@ -23,7 +25,7 @@ class CategorySummary:
 
     Attributes:
         episodes: number in the dataset.
-        attempts: number of attempted episodes.
+        attempts: number of attempted episodes, those of given-up items too.
         mean_key_frames: mean length of an episode, in key frames, or in steps at control rate.
         recorded: number recorded by this run.
         worker_seconds: worker time of this run, summed over workers.
@@ -88,8 +90,9 @@ def summarize(root: Path, spec: CollectionSpec, results: Results, **facts: Any) 
         results: results of the run's items.
         facts: ``seconds``, ``recording_seconds`` and ``failures`` of the run.
     """
-    rows = Dataset(root).table.select(["object_id", "attempts", "length", "success"]).to_pylist()
+    rows = Dataset(root).table.select(["object_id", "length", "success"]).to_pylist()
     counts = read_manifest(manifest_path(root), spec.environment.assets).attempts or AttemptCounts(len(rows), 0, 0)
+    attempted = Counter(category_of(each.object_id) for each in read_attempts(attempts_path(root)))
     return CollectSummary(
         **_run_counts(root, results),
         **facts,
@@ -97,7 +100,7 @@ def summarize(root: Path, spec: CollectionSpec, results: Results, **facts: Any) 
         attempted=counts.attempted,
         given_up=counts.given_up,
         success_rate=sum(row["success"] for row in rows) / max(1, counts.attempted),
-        categories={name: _category_summary(name, rows, results) for name in spec.categories},
+        categories={name: _category_summary(name, rows, results, attempted[name]) for name in spec.categories},
     )
 
 
@@ -125,12 +128,12 @@ def _run_counts(folder: Path, results: Results) -> dict[str, Any]:
     }
 
 
-def _category_summary(category: str, rows: list[dict[str, Any]], results: Results) -> CategorySummary:
+def _category_summary(category: str, rows: list[dict[str, Any]], results: Results, attempts: int) -> CategorySummary:
     rows = [row for row in rows if category_of(row["object_id"]) == category]
     results = [result for result in results if category_of(result.item.object_id) == category]
     return CategorySummary(
         episodes=len(rows),
-        attempts=sum(int(row["attempts"]) for row in rows),
+        attempts=attempts,
         mean_key_frames=sum(int(row["length"]) - 1 for row in rows) / max(1, len(rows)),
         recorded=sum(result.value.kept for result in results),
         worker_seconds=sum(result.seconds for result in results),

@@ -150,7 +150,7 @@ def read_stats(root: str | Path) -> DatasetStats:
             groups={group: _count(episodes) for group, episodes in _groups(table).items()},
             failed_by_kind=failed_tries_by_kind(records),
             recovery=recovery(records) if records else None,
-            attempts=_attempts(dataset.root),
+            attempts=_attempts(dataset),
         )
     except (OSError, ValueError, KeyError, TypeError, AdaManipError) as error:
         raise DatasetError(
@@ -230,11 +230,14 @@ def episode_records(dataset: Dataset) -> list[EpisodeRecord]:
     return [record for record in records if record.try_sequence]
 
 
-def _attempts(folder: Path) -> Attempts | None:
-    path = attempts_path(folder)
+def _attempts(dataset: Dataset) -> Attempts | None:
+    folder, path = dataset.root, attempts_path(dataset.root)
     if not path.exists() or selection_path(folder).exists():
         return None
     attempts = read_attempts(path)
+    seeds = set(dataset.table["seed"].to_pylist())
+    if seeds.isdisjoint(each.seed for each in attempts if each.kept):  # the failed ones, whose list is the other's
+        return None
     content = read(manifest_path(folder)) if manifest_path(folder).exists() else {}
     given_up = integer(0, 10**9)("given_up", (content.get("attempts") or {}).get("given_up", 0))
     groups = grouped_by_hidden_value(attempts).items()

@@ -7,7 +7,8 @@ A closed hand *pushes* in a step if it holds something and is commanded to move,
 A key frame with a push is a try. At control rate a try is a *stroke*: steps in which the hand pushes in one direction.
 The hand was *blocked* if it covered less than `FELT_SHARE` of the commanded motion, and else it *moved*. An empty hand
 that follows its command has touched nothing; that is no try. Nor does a hand push at control rate that still moves
-against its command: an earlier motion settles.
+against its command: an earlier motion settles. There a command may be farther than the arm gets in a try's time: a hand
+that covers `FREE_REACH` of what the arm can is not blocked.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.contract.keyframes import CLOSED_HAND, EMPTY_HAND, OPEN_HAND
+from lerobot_adamanip.contract.keyframes import CLOSED_HAND, DEFAULT_MOTION, EMPTY_HAND, OPEN_HAND
 from lerobot_adamanip.contract.memory import MOTION_UNITS
 from lerobot_adamanip.contract.rotations import rotation_vector_from_matrix
 
@@ -38,11 +39,17 @@ FREE_SHARE = 0.8
 """Share of a commanded motion from which on an empty hand has touched nothing. A pressed button lets it cover 0.5."""
 MIN_STROKE = 0.1
 """Least size of a stroke's commanded motion in `MOTION_UNITS`."""
-HELD_SPEED = 0.32
-"""Speed along its command below which a pushing hand is held back at control rate, in `MOTION_UNITS` a second: 16 mm or
-0.16 rad. An arm that starts from rest towards a far goal is faster after one step."""
-BRIEF_S, HELD_S = 0.1, 0.3
-"""Time for which the hand is held back at the end of a try that was blocked, and before an unfinished one counts [s]."""
+HELD_S, HELD_SPEED = 0.3, 1.0
+"""Time for which the hand is held back before an unfinished try counts as felt [s], and its greatest speed along its
+command then, in `MOTION_UNITS` a second: 5 cm or 0.5 rad."""
+FREE_REACH = 0.5
+"""Share from which on a hand moves freely, of the way from rest that the arm's limits allow in a try's time. A far
+command cannot be covered in a few steps; a blocked hand gets up to 0.3 of that way, because the fingers give way."""
+_LIMITS = (
+    (DEFAULT_MOTION.linear_speed / MOTION_UNITS[0], DEFAULT_MOTION.linear_acceleration / MOTION_UNITS[0]),
+    (DEFAULT_MOTION.angular_speed / MOTION_UNITS[3], DEFAULT_MOTION.angular_acceleration / MOTION_UNITS[3]),
+)
+"""Speed and acceleration of the simulated arm in `MOTION_UNITS`, of translation and of rotation."""
 SAME_PLACE_M = 0.05
 """Largest distance between two places that are the same, for tries that are the same."""
 
@@ -107,8 +114,7 @@ class FeltTries:
     """
 
     def __init__(self, fps: int | None = None) -> None:
-        self._fps = fps
-        self._brief, self._held_steps = (None if fps is None else math.ceil(each * fps) for each in (BRIEF_S, HELD_S))
+        self._fps, self._held_steps = fps, None if fps is None else max(1, math.ceil(HELD_S * fps))
         self._min_motion = (MIN_SHIFT_M, MIN_TURN_RAD) if fps is None else (MIN_LAG_M, MIN_LAG_RAD)
         self._ended: list[FeltEvent] = []
         self._was_closed = False
@@ -144,10 +150,10 @@ class FeltTries:
         if not is_push:
             return
         start = before if self._stroke is None else self._stroke.start
-        held = 0 if self._stroke is None else self._stroke.held
+        steps, held = (0, 0) if self._stroke is None else (self._stroke.steps, self._stroke.held)
         is_slow = self._fps is None or share * float(np.linalg.norm(commanded)) * self._fps < HELD_SPEED
         held = held + 1 if share < FELT_SHARE and is_slow else 0
-        self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, commanded, held)
+        self._stroke = _Stroke(start, command.tcp_in_base, after.tcp_in_base, commanded, steps + 1, held)
         if self._held_steps is None:
             self._end()
 
@@ -158,21 +164,25 @@ class FeltTries:
     def _with_stroke(self, stroke: _Stroke) -> list[FeltEvent]:
         """Returns the tries with a stroke, unless it moved freely, or was too small or too brief to be one."""
         event, is_empty = stroke.event(), stroke.start.gripper < EMPTY_HAND
-        is_none = is_empty and _share(event.commanded, event.measured) >= FREE_SHARE
-        if self._brief is not None:
-            is_small = float(np.linalg.norm(event.commanded)) < MIN_STROKE
-            is_none |= is_small or (stroke.held < self._brief and (is_empty or event.blocked))
+        share, size = _share(event.commanded, event.measured), float(np.linalg.norm(event.commanded))
+        is_none = is_empty and share >= FREE_SHARE
+        if self._fps is not None:
+            is_fast = share * size >= FREE_REACH * _reach(event.commanded, stroke.steps / self._fps)
+            is_none |= size < MIN_STROKE or (is_fast and (is_empty or event.blocked))
         return self._ended if is_none else _with(self._ended, event)
 
 
 @dataclass(frozen=True)
 class _Stroke:
-    """Present stroke: hand at its start, latest command and measured pose, its latest direction, steps held back."""
+    """Present stroke: hand at its start, latest command and measured pose, its latest direction, number of its steps,
+    and of those since which it is held back.
+    """
 
     start: HandPose
     command: Array
     reached: Array
     direction: Array
+    steps: int
     held: int
 
     def event(self) -> FeltEvent:
@@ -191,6 +201,16 @@ def tool_motion(start: Array, end: Array) -> Array:
 def _share(commanded: Array, measured: Array) -> float:
     """Returns the share of a commanded motion that was covered."""
     return float(measured @ commanded) / max(float(commanded @ commanded), 1e-12)
+
+
+def _reach(motion: Array, seconds: float) -> float:
+    """Returns how far the arm gets from rest in this time along a motion (6,), both in `MOTION_UNITS`."""
+    reach, size = math.inf, float(np.linalg.norm(motion))
+    for part, (speed, acceleration) in zip((motion[:3], motion[3:]), _LIMITS, strict=True):
+        rise = min(seconds, speed / acceleration)
+        way = acceleration * rise**2 / 2 + speed * (seconds - rise)
+        reach = min(reach, way * size / max(float(np.linalg.norm(part)), 1e-9))
+    return reach
 
 
 def _is_along(one: Array, other: Array) -> bool:

@@ -274,7 +274,8 @@ class EpisodeRecorder:
             return {}
         last = self._last
         stay = Goal(last.feedback.tcp_in_base, last.goal.gripper, last.goal.phase)
-        labels = KeyFrameLabels(trial=last.labels.trial + last.labels.failed)
+        is_new = last.labels.number > max((each.number for each in self._labels[:-1]), default=-1)
+        labels = KeyFrameLabels(trial=last.labels.trial + (last.labels.failed and is_new))
         end = self._row(last.following, stay, Outcome.REACHED, labels, success=last.success, done=True)
         end |= {schema.EXECUTED: end[schema.ACTION], schema.JOINTS: self._before}
         columns = {key: np.stack([row[key] for row in (*self.rows, end)]) for key in end}

@@ -29,8 +29,8 @@ from lerobot_adamanip.util.json_fields import Check, integer, table
 
 NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR = "no try", "tried in vain", "key moved", "ajar"
 CAUSES = (NO_TRY, NOTHING_MOVED, KEY_MOVED, AJAR)
-"""Cause of a failed episode: no try; no joint moved; only the other joint (knob, cap, lever) moved; or the opening
-joint moved, but not far enough."""
+"""Cause of a failed episode: no try; in the end, no joint is moved; only the other joint (knob, cap, lever) is; or the
+opening joint is, but not far enough."""
 MIN_AJAR = 5e-3
 """Position of the opening joint above which it counts as ajar [rad or m]."""
 PART_HELD, KEY_HELD, NO_FURTHER = "part held", "key held", "no further"

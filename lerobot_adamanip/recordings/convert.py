@@ -18,6 +18,7 @@ from lerobot_adamanip.datasets.editing import merge_into, one_workspace
 from lerobot_adamanip.datasets.episode import to_json
 from lerobot_adamanip.datasets.opening import read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
+from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.repository_names import require_repo_id
 from lerobot_adamanip.datasets.shards import RecordedEpisode, read_record, write_shard
 from lerobot_adamanip.datasets.statistics import write_statistics
@@ -117,6 +118,7 @@ def convert(
         shards = list(conversion.shards(recordings))
         repo_id = chosen.repo_id or f"local/{output.root.name}"
         built, merged = _assembled(output.fresh("dataset"), shards, chosen, repo_id, progress), 0
+        keep_unscaled_poses(built, [Dataset(each, recordings=True) for each in sources if each not in simulated])
         if simulated:
             parts, built = [built, *simulated], output.fresh("merged")
             merged = merge_into(built, parts, repo_id, functools.partial(progress, "merge")).episodes - len(shards)

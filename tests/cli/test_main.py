@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import errno
+import math
 import os
 import subprocess
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
 
 from lerobot_adamanip import __version__
 from lerobot_adamanip.cli import main as cli
+from lerobot_adamanip.cli.arguments import print_result
 from lerobot_adamanip.util.errors import INSTALL_SIM, DatasetError
 
 
@@ -48,6 +52,11 @@ def _probe_command(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, module.__name__, module)
     monkeypatch.setitem(cli.COMMANDS, "probe", cli.CommandEntry("probe:Probe", "a probe"))
     monkeypatch.setitem(cli.COMMANDS, "absent", cli.CommandEntry("no_such_module:Absent", "not there"))
+
+
+def test_json_has_no_number_that_is_none(capsys: pytest.CaptureFixture[str]) -> None:
+    print_result(True, {"a": math.nan, "b": [math.inf, 1.0], "c": {"d": (np.float64("nan"),)}, "e": Path("x")}, "")
+    assert capsys.readouterr().out == '{"a": null, "b": [null, 1.0], "c": {"d": [null]}, "e": "x"}\n'
 
 
 @pytest.mark.parametrize(

@@ -109,6 +109,8 @@ WRONG = (
     ("calibrate some/absent", "some/absent"),
     ("report", "log"),
     ("report absent.jsonl", "absent.jsonl"),
+    ("report log.jsonl --out a.png --out b.png", "given twice"),
+    ("collect demos --control dense --cameras front --cameras wrist", "--cameras FIRST SECOND"),
     ("report dataset", "adamanip stats dataset"),
     ("report log.jsonl --out x.gif", ".png"),
     ("benchmark", "--scale cpu"),

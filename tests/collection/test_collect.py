@@ -176,6 +176,9 @@ def test_what_cannot_be_recorded_is_reported_counted_and_left_out_only_on_reques
     counts = json.loads((root / "meta" / "collection.json").read_text())["attempts"]
     assert counts == {"attempted": len(listed), "given_up": 2, "kept": 2}
     assert f"{len(listed)} episodes were attempted" in (root / "README.md").read_text()
+    assert summary.categories["safe"].attempts == len(listed)
+    message = refuses(DatasetError, lambda: collect(root, spec, hopeless, patiently(max_attempts=2)))
+    assert "2 episodes were given up" in message
 
 
 def test_a_retry_meets_the_hidden_state_of_the_attempt_before_it(tmp_path: Path, finished: Path) -> None:

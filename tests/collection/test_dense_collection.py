@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,6 +32,7 @@ from lerobot_adamanip.datasets.check.features import OF_LEROBOT
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths, columns_of
 from lerobot_adamanip.datasets.dataset import Dataset, open_dataset
 from lerobot_adamanip.datasets.manifest import Manifest
+from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.stats import read_stats
 from lerobot_adamanip.datasets.view import read_episode
 from lerobot_adamanip.episode.dense import DenseRecorder, DenseStep, dense_rollout
@@ -179,7 +181,9 @@ def test_key_frames_are_the_experts(images: bool, tmp_path: Path) -> None:
     SEEN.clear()
     spec = dense_spec(late_starts=0.0, **FULL)
     collect(tmp_path / "dense", spec, Factories(make_dense_env, spied_expert), patiently())
+    leave_poses_unscaled(tmp_path / "dense")
     episodes, count = write_key_frames(tmp_path / "dense", tmp_path / "frames", images=images)
+    assert json.loads((tmp_path / "frames" / "meta" / "stats.json").read_text())["action"]["std"][3:] == [1.0] * 7
     assert check(tmp_path / "frames").findings == []
     dense, frames = Dataset(tmp_path / "dense"), Dataset(tmp_path / "frames")
     environment = spec.environment.changed(control="keyframe", observe_images=images)

@@ -80,6 +80,15 @@ def test_a_try_that_moves_its_joint_in_a_later_key_frame_has_not_failed() -> Non
     assert columns[schema.TRIAL][:, 0].tolist() == [0, 0, 0, 1]
 
 
+def test_a_failed_try_that_goes_on_to_the_end_is_counted_once() -> None:
+    env, first = ready(locked=True)
+    recorder, steps = EpisodeRecorder(env.joints), list[KeyFrame]()
+    rollout(env, first, play(PULL, PULL), steps.append)
+    for step, trial in zip(steps, (0, 1), strict=True):
+        recorder.record(replace(step, labels=KeyFrameLabels(0, True, trial=trial, number=0)))
+    assert recorder.columns()[schema.TRIAL][:, 0].tolist() == [0, 1, 1]
+
+
 def test_the_last_row_is_the_final_observation_and_stays_in_place() -> None:
     env, first = ready(locked=False)
     recorder, last = EpisodeRecorder(env.joints), []

@@ -8,7 +8,7 @@ from felt_worlds import Stream
 from hypothesis import given
 from hypothesis import strategies as st
 
-from lerobot_adamanip.contract.control import DENSE, EE_DELTA
+from lerobot_adamanip.contract.control import DENSE, EE_DELTA, RATES
 from lerobot_adamanip.contract.memory import MEMORY_NAMES, NUM_TRIES, SO_FAR, TRY_NAMES
 from lerobot_adamanip.episode.felt_tries import FELT_SHARE, FREE_SHARE
 from lerobot_adamanip.episode.memory import Memory, stored_memory
@@ -134,6 +134,39 @@ def test_a_hand_that_still_moves_the_other_way_is_not_held_back(dense: Stream) -
         dense.sends((0.0, 0.0, -0.01), share=0.7)
     dense.sends(share=1.0)
     assert [(event.blocked, event.times) for event in dense.memory.events] == [(False, 1)]
+
+
+@pytest.mark.parametrize("fps", RATES)
+@pytest.mark.parametrize("steps", [1, 2, 4, 8])
+@pytest.mark.parametrize("turns", [False, True])
+def test_an_arm_that_follows_a_far_command_as_fast_as_it_can_is_not_blocked(fps: int, steps: int, turns: bool) -> None:
+    """An empty hand that goes forward feels nothing; what a holding hand moves is never blocked."""
+    speed, acceleration, unit = (1.6, 5.0, 0.5) if turns else (0.45, 1.2, 0.1)
+    times = np.arange(steps + 1) / fps
+    rise = np.minimum(times, speed / acceleration)
+    moved = np.diff(acceleration * rise**2 / 2 + speed * (times - rise))
+    for gripper in (0.0, 0.3):
+        stream = Stream(Memory(control=DENSE, action=EE_DELTA, fps=fps), is_dense=True)
+        stream.grasps(gripper)
+        for way in moved:
+            shift, turn = ((0.0, 0.0, 0.0), unit) if turns else ((0.0, 0.0, unit), 0.0)
+            stream.sends(shift, turn, share=way / unit)
+            assert not any(event.blocked for event in stream.memory.events)
+        stream.opens()
+        assert not any(event.blocked for event in stream.memory.events)
+        assert gripper or not stream.memory.events
+
+
+@pytest.mark.parametrize("fps", RATES)
+def test_a_short_pull_that_only_stretches_fingers_is_blocked(fps: int) -> None:
+    """As experts do it: 4.4 cm in 0.2 s, of which fingers that give way cover 6 mm."""
+    stream = Stream(Memory(control=DENSE, action=EE_DELTA, fps=fps), is_dense=True)
+    stream.grasps()
+    steps = max(1, round(0.2 * fps))
+    for step in range(steps):
+        stream.sends((0.0, 0.0, -0.044 * (step + 1) / steps), share=0.006 / 0.044 / steps)
+    stream.opens()
+    assert [event.blocked for event in stream.memory.events] == [True]
 
 
 def test_a_hand_at_rest_tries_nothing(dense: Stream) -> None:

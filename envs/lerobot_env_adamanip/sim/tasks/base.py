@@ -249,7 +249,7 @@ class AdaManipTask(BaseEnv):
         return episode_generator(int(self._episode_seed[0]), stream, self.category)
 
     def set_state_dict(self, state: dict[str, Any], env_idx: torch.Tensor | None = None) -> None:
-        """Raises `ConfigurationError`: a scene's state has neither mechanism nor tries, so its joints would be undone."""
+        """Raises `ConfigurationError`: a state has neither mechanism nor tries, and joints would move back."""
         raise ConfigurationError(
             "The state of an AdaManip task cannot be set.",
             got="set_state or set_state_dict",
