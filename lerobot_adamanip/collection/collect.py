@@ -125,14 +125,7 @@ def collect(
 
     def complete() -> CollectSummary:
         summary = summarize(paths.root, spec, [], seconds=time.monotonic() - begin, recording_seconds=0.0)
-        if summary.given_up and not options.allow_missing:
-            raise DatasetError(
-                "The dataset was finished with --allow-missing.",
-                got=f"{summary.given_up} episodes were given up, {summary.episodes} are in {paths.root}",
-                allowed="a dataset with all of them",
-                hint="the same command with --allow-missing, or another folder and a larger --max-attempts",
-            )
-        return summary
+        return _with_all(summary, options)
 
     if paths.manifest.exists() and not (paths.partial.exists() or lock_path(paths.root).exists()):
         require_finished(paths.root, _manifest(spec, factories))
@@ -239,6 +232,18 @@ def _recorder(
         workers = max(1, min(options.workers or cpus, items))
         with RayExecutor[EpisodeSpec](recording, workers, timeout=options.worker_timeout) as executor:
             yield executor.run
+
+
+def _with_all(summary: CollectSummary, options: CollectOptions) -> CollectSummary:
+    """Returns the summary of a finished dataset; raises `DatasetError` if it lacks episodes that `options` want."""
+    if summary.given_up and not options.allow_missing:
+        raise DatasetError(
+            "The dataset was finished with --allow-missing.",
+            got=f"{summary.given_up} episodes were given up, {summary.episodes} are in {summary.root}",
+            allowed="a dataset with all of them",
+            hint="the same command with --allow-missing, or another folder and a larger --max-attempts",
+        )
+    return summary
 
 
 def _require_all(results: Results, options: CollectOptions) -> tuple[str, ...]:
