@@ -38,6 +38,8 @@ TEST_SEED = 1000
 """Seed of an evaluation's first scene and of the policy's sampling; equal for all methods and trainings."""
 _ATTEMPTS = 25
 """Attempts per demonstration: with six failed trials, long episodes of safes exceed the time limit."""
+_NEXT_ROUND = 100_000
+"""Added to the seed of each further round of corrections: two rounds could share an episode that the expert drove."""
 _KEY = "{key}"
 _COLLECTED = f"{FOLDERS[COLLECT]}/{_KEY}"
 _LENGTH = 16
@@ -262,8 +264,9 @@ def _learning(
     else:
         data = _collection(cell, like, scale, versions)
     training = _training(cell, method, scale, data, versions, steps=method.steps.get(scale_name, scale.steps))
-    for round_ in method.rounds:
-        corrected = _correction(cell, like, scale, versions, episodes=round_.corrections, training=training)
+    for number, round_ in enumerate(method.rounds):
+        scenes = replace(cell, seed=cell.seed + _NEXT_ROUND * number)
+        corrected = _correction(scenes, like, scale, versions, episodes=round_.corrections, training=training)
         data = _merge((data, corrected))
         start = training if round_.start == "trained" else None
         training = _training(cell, method, scale, data, versions, steps=round_.steps, start=start)

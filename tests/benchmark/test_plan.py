@@ -325,6 +325,8 @@ def test_a_round_of_corrections_collects_with_the_policy_and_trains_on_everythin
     assert (made.episodes_per_object, str(made.policy)) == (3, str(last_checkpoint(found["train"].product)))
     assert found["merge"].command[2:4] == (found["collect"].product, first.product)
     assert found["merge_2"].command[2:4] == (found["merge"].product, found["correct_2"].product)
+    seeds = [parse_command("collect", found[name].command[2:]).seed for name in ("collect", "correct", "correct_2")]
+    assert seeds[0] == seeds[1] != seeds[2], "two rounds in the same scenes could share an episode"
     for name, data, begin in (
         ("train_2", "merge", "--policy.type=dp3_adaptive"),
         ("train_3", "merge_2", f"--policy.path={last_checkpoint(found['train_2'].product)}"),
