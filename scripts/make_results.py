@@ -47,7 +47,7 @@ PICTURES = """![Success over the failed tries that an episode may have](images/b
 
 ![Opened within the best strategy's tries, with intervals, scale test](images/benchmark_success.png)
 
-![Success in the setting of the paper's code, scale paper; dashes are the paper's numbers](images/benchmark_paper.png)
+![Success in the setting of the paper's code, scale paper_0_2; dashes: the paper](images/benchmark_paper.png)
 
 ![Opened within the tries at control rate, scale control_rate](images/benchmark_control_rate.png)
 

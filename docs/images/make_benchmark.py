@@ -31,7 +31,7 @@ METHODS: Mapping[str, Sequence[str]] = {
         "demonstrated",
         "mm20",
         "mm20_calibrated",
-        "d435_calibrated",
+        "d435",
     ),
 }
 """Scale -> methods in its pictures; left out: all."""

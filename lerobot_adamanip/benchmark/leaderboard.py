@@ -22,9 +22,10 @@ from lerobot_adamanip.benchmark.plan import (
     plan,
 )
 from lerobot_adamanip.benchmark.report import scene_options, within
+from lerobot_adamanip.catalog import make_object, seen_objects
 from lerobot_adamanip.contract.versions import SIMULATION_VERSION
 from lerobot_adamanip.evaluation.metrics import METRICS, pool
-from lerobot_adamanip.evaluation.paired import MAX_COUNTED_TRIES
+from lerobot_adamanip.evaluation.paired import MAX_COUNTED_TRIES, WITHIN_TRIES
 from lerobot_adamanip.evaluation.results import (
     EVALUATE,
     NO_COMMIT,
@@ -35,6 +36,7 @@ from lerobot_adamanip.evaluation.results import (
     read_results,
 )
 from lerobot_adamanip.evaluation.text_format import markdown_table, percent_text
+from lerobot_adamanip.mechanisms import best_tries, make_mechanism
 from lerobot_adamanip.util.errors import DatasetError
 
 TRACKS = PAPER_TABLE.with_name("tracks.toml")
@@ -144,9 +146,7 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
         yield f"results of {', '.join(sorted(methods)) or 'no method'}, not of one declared method"
         return
     (name,) = methods
-    method = declaration.methods[name]
-    if method.checkpoint and not method.learns_from:
-        yield "learns_from does not say what its checkpoint learned from"
+    yield from _problems_of_method(declaration, name)
     for scale in SCALES:
         if declaration.scales.get(scale) != tracks.scales[scale]:
             yield f"scale {scale} is not that of {TRACKS.name}"
@@ -163,10 +163,25 @@ def problems(declaration: Declaration, results: Mapping[str, list[ResultFile]]) 
             given = scenes(replace(cell, method=REFERENCE), tracks, scale)
             for problem in _problems_of(found[cell], cell, declaration, scale, given):
                 yield f"{scale}, {cell.name}: {problem}"
-    if len(versions := {str(one.simulation_version) for each in results.values() for one in each}) > 1:
-        yield f"simulation versions {' and '.join(sorted(versions))}"
-    if len(versions := {str(one.run.data_version) for each in results.values() for one in each if one.run}) > 1:
-        yield f"data versions {' and '.join(sorted(versions))}"
+    every = [one for each in results.values() for one in each]
+    if len(versions := {one.simulation_version for one in every}) > 1 or max(versions, default=0) > SIMULATION_VERSION:
+        yield f"simulation versions {' and '.join(map(str, sorted(versions)))}; the latest is {SIMULATION_VERSION}"
+    if len(versions := {one.run.data_version for one in every if one.run}) > 1:
+        yield f"data versions {' and '.join(map(str, sorted(versions)))}"
+
+
+def _problems_of_method(declaration: Declaration, name: str) -> Iterator[str]:
+    """Yields why a method is no policy, or does not say what it learned from."""
+    method = declaration.methods[name]
+    if method.expert:
+        yield "an expert reads the simulator: an entry is a policy"
+    if method.learns_from:
+        return
+    if method.checkpoint:
+        yield "learns_from does not say what its checkpoint learned from"
+    data = declaration.demonstrations.get(declaration.methods[method.data_of or name].demonstrations)
+    if data is not None and data.expert == "static":
+        yield "learns_from does not say that its demonstrations are of an expert that sees the hidden state"
 
 
 def _problems_of(
@@ -176,6 +191,8 @@ def _problems_of(
     if any(changed or commit == NO_COMMIT for commit, changed in result.commits):
         yield "made from a commit with changes, or from none"
     run, row = result.run, result.rows[0]
+    if run is not None and not run.steps.keys() <= {*run.costs, EVALUATE}:
+        yield "without the costs and commits of its steps"
     if run is None or run.options != options_key(cell, declaration, scale):
         yield "made with other options than declared"
         return
@@ -197,6 +214,8 @@ def _problems_of(
         yield "without the outcome and the failed tries of each scene"
     elif not _has_possible_tries(row):
         yield "repeated and untried are not of its scenes' failed tries"
+    elif any(pair[0] == WITHIN_TRIES and int(pair[1]) > _most_tries(row) for pair in _scenes(row)):
+        yield "scenes within the best strategy's tries have more failed tries than those"
 
 
 def _has_steps_of(run: CellRun, whole: Step) -> bool:
@@ -231,6 +250,17 @@ def _has_possible_tries(row: ResultRow) -> bool:
     by_count = sum(share.episodes for share in (row.metrics.untried or {}).values())
     is_capped = str(MAX_COUNTED_TRIES) in row.scene_tries
     return decisions == by_count and (is_capped or decisions <= sum(map(int, row.scene_tries)))
+
+
+def _scenes(row: ResultRow) -> Iterator[tuple[str, str]]:
+    """Yields outcome and failed tries of each scene, see `lerobot_adamanip.evaluation.paired`."""
+    return zip(row.scene_outcomes, row.scene_tries, strict=True)
+
+
+def _most_tries(row: ResultRow) -> int:
+    """Returns the failed tries that the best strategy needs at worst in a row's scenes."""
+    mechanism = make_mechanism(make_object(seen_objects(row.category)[0]), row.mechanism_rules)
+    return best_tries(row.category, row.mechanism_rules, mechanism.hidden_names)[1]
 
 
 def scenes(cell: Cell, declaration: Declaration, scale: str) -> frozenset[tuple[str, str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import statistics
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -10,6 +11,7 @@ from dataclasses import dataclass, replace
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS, Declaration, Effect
 from lerobot_adamanip.benchmark.plan import CHOSEN, TRAIN, Cell, all_cells, cell_of, evaluation_options, options_key
 from lerobot_adamanip.contract.categories import CATEGORIES
+from lerobot_adamanip.contract.control import DENSE
 from lerobot_adamanip.contract.sensing import EXACT
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, MAX_COUNTED_TRIES, PairedDifference, paired_difference
@@ -182,8 +184,10 @@ class BenchmarkReport:
         return [(rate(len(some), len(turns[turn])), Mean(sum(some), len(some))) for turn, some in opened.items()]
 
     def runs_of(self, method: str) -> list[CellRun]:
-        """Returns the `CellRun` of each result of a method."""
-        return [result.run for result in self.results if result.run is not None and result.run.method == method]
+        """Returns a `CellRun` of each last training of a method, which several results may share."""
+        runs = [result.run for result in self.results if result.run is not None and result.run.method == method]
+        last = [[step.key for name, step in run.steps.items() if name.startswith(TRAIN)][-1:] for run in runs]
+        return list({"".join(key) or id(run): run for key, run in zip(last, runs, strict=True)}.values())
 
     def mean_losses(self, method: str) -> list[float]:
         """Returns the loss curve of a method's last training, relative to its first value.
@@ -200,7 +204,9 @@ class BenchmarkReport:
             first = entry.results[0]
             origin = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
             labels = {"subject": method, "mechanism_rules": first.rows[0].mechanism_rules, "category": category}
-            within = {f"within_{k}_key_frames": entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
+            counts = {k: entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
+            is_dense = f"--env.control={DENSE}" in shlex.split(first.command)  # its rows are no key frames
+            within = {f"within_{k}_key_frames": "" if is_dense else count for k, count in counts.items()}
             trainings = {"objects": objects, "trainings": len(entry.results)}
             yield {**origin, **labels, **trainings, **entry.metrics.columns(), **within}
 
@@ -290,7 +296,8 @@ def _entries(
     newest = max(versions.values(), default=None)
     marks, places = dict[Cell, set[str]](), dict[Place, list[Cell]]()
     for cell, result in results.items():
-        options = options_key(cell, declaration, scale) if cell in declared else None
+        is_declared = cell in declared or cell.method in declaration.methods_of(scale)
+        options = options_key(cell, declaration, scale) if is_declared else None
         has_other_options = result.run is not None and options not in (None, result.run.options)
         is_earlier = versions[cell] != newest or (cell in stale and not has_other_options)
         marks[cell] = {*([EARLIER] if is_earlier else []), *([OTHER_OPTIONS] if has_other_options else [])}

@@ -27,8 +27,9 @@ LEGEND = f"""## How to read it
 - Numbers are pooled over all trainings of a method, which see the same scenes. Means weight categories equally
   and need a result of each; those of tries leave out categories without a success or without a failed try.
 - The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
-  take all episodes as independent, so they are too narrow where several trainings see the same scenes, or where
-  several episodes in a row play one scene.
+  take all episodes as independent, so they are too narrow where several trainings see the same scenes, where several
+  episodes in a row play one scene, or where the object decides more than the scene. Those of novel doors are half as
+  wide as an interval over their 20 objects.
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
   deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
 - Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a
@@ -257,12 +258,14 @@ def _costs_of(runs: Sequence[CellRun]) -> list[str]:
     """Returns minutes of a core, parameters, and the change of the loss, as texts."""
     names = [(run, name) for run in runs for kind in (CORRECT, TRAIN) for name, _ in run.options_of(kind)]
     costs = [run.costs[name] for run, name in names if name in run.costs]
-    minutes = sum(cost.seconds * cost.machine["cores"] / 60 for cost in costs) / len(runs)
+    spent = sum(cost.seconds * cost.machine["cores"] / 60 for cost in costs) / len(runs)
+    minutes = "at least " * any(cost.begun > 1 for cost in costs) + f"{spent:.0f}"  # only the last start is timed
     logs = last_trainings(runs)
     if not logs:
-        return [f"{minutes:.0f}", "-", "-"]
-    change = sum(log.change for log in logs) / len(logs)
-    return [f"{minutes:.0f}", f"{logs[0].parameters / 1e6:.1f} million", f"{100 * change:+.0f} %"]
+        return [minutes, "-", "-"]
+    change = f"{100 * sum(log.change for log in logs) / len(logs):+.0f} %"
+    change += f" ({len(logs)} of {len(runs)})" * (len(logs) < len(runs))
+    return [minutes, f"{logs[0].parameters / 1e6:.1f} million", change]
 
 
 def _costs(report: BenchmarkReport) -> str:

@@ -196,6 +196,9 @@ def test_an_entry_is_of_one_method_that_says_what_it_learned_from(enter: MakeEnt
     source = "demonstrations of an expert that knows the hidden state"
     folder = enter("described", 30, "mine", f'{table}learns_from = "{source}"\n')
     assert read_entry(folder).learns_from == source
+    static = '\n[demonstrations.seeing]\nexpert = "static"\n' + TABLE + 'demonstrations = "seeing"\n'
+    assert "an expert that sees the hidden state" in lacking(enter("seeing", 30, table=static))
+    assert "an expert reads the simulator" in lacking(enter("cheat", 60, table=TABLE.replace("dp3_adaptive", "expert")))
     cell = next((folder / "row").glob("*.json"))
     edit(cell, lambda one: dataclasses.replace(one, run=dataclasses.replace(one.run, method="expert")))  # type: ignore[type-var]
     assert "results of expert, mine, not of one declared method" in lacking(folder)
@@ -236,6 +239,8 @@ def test_results_have_the_declared_scenes_and_episodes(enter: MakeEntry) -> None
         ({}, {}, {"scene_tries": ""}, "without the outcome and the failed tries of each scene"),
         ({}, {}, {"repeated": rate(0, 10**6), "untried": {1: rate(10**6, 10**6)}}, "repeated and untried are not"),
         ({}, {}, {"repeated": rate(0, 8), "untried": {1: rate(4, 4)}}, "repeated and untried are not"),
+        ({}, {}, {"scene_tries": "3" * 15 + "4" * 45}, "more failed tries than those"),
+        ({}, {"costs": {}}, {}, "without the costs and commits of its steps"),
     ],
 )
 def test_a_result_that_contradicts_itself_is_named(
@@ -318,3 +323,5 @@ def test_an_entry_is_of_one_simulation_version(enter: MakeEntry) -> None:
     folder = enter("mine", 30)
     edit(next((folder / "row").glob("*.json")), lambda one: dataclasses.replace(one, simulation_version=1))
     assert f"simulation versions 1 and {SIMULATION_VERSION}" in lacking(folder)
+    latest = f"the latest is {SIMULATION_VERSION}"
+    assert latest in lacking(enter("future", 30, simulation_version=SIMULATION_VERSION + 1))

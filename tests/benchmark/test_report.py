@@ -16,7 +16,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from lerobot_adamanip.benchmark.declaration import Declaration
-from lerobot_adamanip.benchmark.plan import cell_of
+from lerobot_adamanip.benchmark.plan import cell_of, options_key
 from lerobot_adamanip.benchmark.plots import plot_report
 from lerobot_adamanip.benchmark.report import BenchmarkReport, make_report, within
 from lerobot_adamanip.benchmark.report_text import benchmark_page, summary
@@ -241,6 +241,10 @@ def test_the_csv_has_every_number_with_its_metrics(cells: Path) -> None:
     assert counts == sorted(counts)
     assert (counts[0], counts[-1]) == (0, metrics.success.count)
     assert [int(line[f"within_{k}_key_frames"]) for k in (10, 15, 25)] == [counts[k] for k in (10, 15, 25)]
+    for path in cells.glob("ours-safe-seen-*"):
+        change(path, command=f"{read_result(path).command} --env.control=dense")
+    lines = list(csv.DictReader(csv_table(list(report_of(cells).csv_lines())).splitlines()))
+    assert {each["within_25_key_frames"] == "" for each in lines} == {True, False}, "steps are no key frames"
 
 
 def test_what_is_missing_is_said_and_never_guessed(cells: Path, tmp_path: Path) -> None:
@@ -296,6 +300,16 @@ def test_other_versions_and_other_options_are_marked(cells: Path) -> None:
     }, "a difference of a marked number is marked"
 
 
+def test_other_options_of_a_seed_that_is_not_declared_are_marked(cells: Path) -> None:
+    path = cells / "ours-safe-seen-3.json"
+    for options, mark in (("", "%"), ("e" * 16, "‡")):
+        shutil.copyfile(cells / "ours-safe-seen-2.json", path)
+        change(path, run={"seed": 3, "options": options or options_key(cell_of(read_result(path)), wide(), SCALE)})
+        page = benchmark_page(report_of(cells))
+        assert means(page)["Ours, seen"]["trainings"] == "2 to 3"
+        assert means(page)["Ours, seen"]["opened"][-1] == mark
+
+
 def test_a_method_that_is_declared_no_more_keeps_its_row(cells: Path) -> None:
     path = cells / "theirs-safe-seen-1.json"
     shutil.copyfile(cells / "ours-safe-seen-1.json", path)
@@ -328,6 +342,8 @@ def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
     counts = dict(re.findall(r"(\w+) [\d.]+ \w+ \((\d+) times\)", page))
     assert counts == {"collecting": "8", "training": "8", "evaluating": "20"}
     assert "on 2 cores, no GPU\n" in page
+    runs = report_of(cells).runs_of("ours")
+    assert len(runs) == 4, "of two categories and seeds; two splits share each"
     assert machine_text({"cores": 1, "gpu": True}) == "1 core, a GPU"
 
 
