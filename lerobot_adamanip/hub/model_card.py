@@ -147,7 +147,7 @@ def model_card(
         facts=_facts(checkpoint),
         notes=_notes(config, env_options),
         results=results_table(results),
-        training=_training(training, demos, checkpoint.updates),
+        training=_training(training, demos),
         command=train_command(training, repo_id, kind, demos),
     )
 
@@ -197,14 +197,13 @@ def _feature(key: str, feature: Mapping[str, Any]) -> str:
     return f"{tuple(feature['shape'])}: {COLUMNS.get(key, feature['type'])}"
 
 
-def _training(training: Mapping[str, Any], dataset: str | None, updates: int | None) -> str:
+def _training(training: Mapping[str, Any], dataset: str | None) -> str:
     if not training:
         return "How it was trained is not recorded."
     options = ", ".join(f"{name.replace('_', ' ')} {training[name]}" for name in _TRAINING if name in training)
     source = f"`{dataset}`" if dataset else "a dataset that is not published"
-    steps = training.get("steps")
-    earlier = updates - steps if isinstance(steps, int) and updates is not None else 0
-    start = f" It went on from weights with {earlier} updates, which are not published." if earlier > 0 else ""
+    goes_on = bool((training.get("policy") or {}).get("pretrained_path")) and not training.get("resume")
+    start = " It went on from the weights of an earlier training." if goes_on else ""
     return f"On {source}: {options}.{start} `train_config.json` holds every option; local paths are removed from it."
 
 

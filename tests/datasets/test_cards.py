@@ -180,9 +180,8 @@ def test_an_invalid_card_is_one_clear_error(refuses: Callable[..., str], name: s
 
 def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     result = read_result(project_root / "results" / "demo.json")
-    checkpoint = Checkpoint(
-        {"type": "dp3_adaptive"}, {"env": {"type": "adamanip_safe"}, "steps": 5}, 1_500_000, updates=7
-    )
+    training = {"env": {"type": "adamanip_safe"}, "steps": 5, "policy": {"pretrained_path": "trainings/first"}}
+    checkpoint = Checkpoint({"type": "dp3_adaptive"}, training, 1_500_000, updates=5)
     text = model_card(checkpoint, "someone/policy", results=[result], dataset="someone/safes")
     check_card(text, "model")
     card = ModelCard(text)
@@ -198,7 +197,8 @@ def test_results_are_on_the_card_and_in_its_index(project_root: Path) -> None:
     assert card.data.datasets == ["someone/safes"]
     assert "1.5 M parameters" in card.text
     assert "lerobot-train --config_path=someone/policy --policy.push_to_hub=false" in card.text, "with every option"
-    assert "went on from weights with 2 updates" in card.text
+    assert "went on from the weights of an earlier training" in card.text
+    assert "trainings/first" not in card.text
 
 
 def test_each_value_of_the_index_keeps_the_arguments_of_its_own_result(project_root: Path) -> None:

@@ -12,6 +12,7 @@ from collections import deque
 from typing import Any
 
 import torch
+from lerobot.configs import parser
 from lerobot.lerobot_types import TransitionKey
 from lerobot.processor import NormalizerProcessorStep, create_transition
 from torch import Tensor
@@ -216,7 +217,13 @@ class DP3AdaptivePolicy(CloudPolicy):
 
     @torch.no_grad()
     def update(self) -> None:
-        """Updates the averaged weights; lerobot-train calls this after each optimizer step."""
+        """Updates the averaged weights; lerobot-train calls this after each optimizer step.
+
+        Only ``--resume=true`` continues the average of a checkpoint. A fine-tuning begins a new one: otherwise a third
+        of the weights that act would still be the old ones after 8,000 steps and 1,000 further ones.
+        """
+        if self._ema_count is None and parser.parse_arg("resume") != "true":
+            self.ema_steps.zero_()
         # Counted in Python too: reading the buffer would synchronise with a GPU at every step.
         self._ema_count = (int(self.ema_steps) if self._ema_count is None else self._ema_count) + 1
         self.ema_steps += 1

@@ -113,6 +113,13 @@ def test_averaged_weights_follow_and_are_used_only_outside_training(
         policy.update()
     assert int(policy.ema_steps) == 301
     torch.testing.assert_close(averaged, trained, rtol=1e-3, atol=1e-3)
+    policy.load_state_dict(policy.state_dict())
+    policy.update()
+    assert int(policy.ema_steps) == 1, "fine-tuning averages anew"
+    policy.load_state_dict(policy.state_dict())
+    monkeypatch.setattr(sys, "argv", ["lerobot-train", "--resume=true"])
+    policy.update()
+    assert int(policy.ema_steps) == 2
     monkeypatch.setattr(modeling_dp3_adaptive, "EMA_MAX", 0.5)
     with torch.no_grad():
         averaged[0].sub_(1.0)
