@@ -39,9 +39,11 @@ WRONG_UNET: list[dict[str, Any]] = [
 WRONG: dict[str, list[dict[str, Any]]] = {
     "affordance": [
         {"num_points": 0}, {"feature_dim": 0}, {"patch_radius": 0.0}, {"encoder_dims": ()}, {"context_points": 121},
-        {"n_obs_steps": 2},
+        {"n_obs_steps": 2}, {"encoder_dims": (16, 0)},
     ],
+    "sampling": [{"likely_share": 1.5}, {"likely_share": 0.0}, {"encoder_dims": (-1,)}],
     "dp3_adaptive": [
+        {"encoder_dims": (16, -3)}, {"encoder_out_dim": 0},
         {"horizon": 2}, {"n_obs_steps": 2}, {"num_anchors": 0}, {"num_points": 0}, {"encoder_dims": ()},
         {"num_refinements": -1}, {"inference": Inference(memory=False), "preset": "dp3"},
         {"inference": Inference(temperature=0.0)}, {"inference": Inference(latest_events=-1)},

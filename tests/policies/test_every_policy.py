@@ -98,6 +98,7 @@ CHANGES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
             *("n_action_history_steps=0", "inference.no_repeat=true", "inference.memory=false", "memory_episodes=3"),
             *("num_inference_steps=1", "num_refinements=1", "augmentation_mirror=0.5", "training_points=8"),
             "augmentation_earlier_episodes=0.5",
+            "num_refinements=0",
         ),
     ),
     "dp3": (

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
 import pytest
 import torch
 from lerobot.datasets.lerobot_dataset import LeRobotDataset, LeRobotDatasetMetadata
@@ -55,3 +58,25 @@ def test_metadata_of_no_dataset_say_that_nothing_is_held_out(
 ) -> None:
     assert trained_episodes(LeRobotDatasetMetadata(REPO_ID, root=adaptive_toy_root)) is None
     assert "all of its episodes count as trained on" in caplog.text
+
+
+LABELS = {"sampling": "contacts_of", "vat_mart": "plan_of", "adaafford": "candidates"}
+
+
+@pytest.mark.parametrize("method", LABELS)
+def test_labels_are_those_of_their_rows_also_where_other_files_were_not_downloaded(
+    make_toy_policy: MakePolicy, adaptive_toy_root: Path, tmp_path: Path, method: str
+) -> None:
+    part = Path(shutil.copytree(adaptive_toy_root, tmp_path / "part"))
+    for path in (part / "data").rglob("*.parquet"):
+        rows = pq.read_table(path)
+        pq.write_table(rows.filter(pc.greater_equal(rows["episode_index"], 3)), path)
+    made, *_ = make_toy_policy(method, adaptive_toy_root)
+    labelled = []
+    for root in (adaptive_toy_root, part):
+        dataset = LeRobotDataset(REPO_ID, root=root, episodes=[3, 4, 5])
+        policy = type(made)(made.config, dataset_meta=dataset.meta)
+        index = torch.as_tensor(dataset.hf_dataset.with_format("numpy")["index"][:])
+        labelled.append(getattr(policy.labels, LABELS[method])[policy.rows_of({"index": index})] >= 0)
+    assert labelled[0].any()
+    assert torch.equal(*labelled)

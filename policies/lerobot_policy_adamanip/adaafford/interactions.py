@@ -54,17 +54,16 @@ def label_interactions(demonstrations: Demonstrations, history: int, candidates:
     `ConfigurationError` if no try failed, or none moved anything.
     """
     recorded: list[_Interaction] = []
-    size = 1 + int(demonstrations.index.max())
-    past, known = (np.full((size, count), -1, dtype=np.int64) for count in (history, candidates))
+    past, known = (np.full((len(demonstrations), count), -1, dtype=np.int64) for count in (history, candidates))
     for rows in demonstrations.episodes():
         first, stretch = len(recorded), demonstrations.stretches(rows)
         recorded += _interactions(demonstrations, rows, stretch)
         numbered = list(enumerate(recorded[first:], first))
         for row in range(rows.stop - rows.start - int(demonstrations.final[rows.stop - 1])):
-            index = demonstrations.index[rows.start + row]
             earlier = [number for number, each in numbered if each.row is not None and each.row < row][-history:]
             fitting = [number for number, each in numbered if each.stretch == stretch[row]][:candidates]
-            past[index, : len(earlier)], known[index, : len(fitting)] = earlier, fitting
+            place = rows.start + row
+            past[place, : len(earlier)], known[place, : len(fitting)] = earlier, fitting
     moved, tried = (np.array([getattr(each, name) for each in recorded], bool) for name in ("moved", "tried"))
     if not (tried & ~moved).any() or not (tried & moved).any():
         raise ConfigurationError(

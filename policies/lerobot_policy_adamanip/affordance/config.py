@@ -43,12 +43,13 @@ class AffordanceConfig(CloudPolicyConfig):
     def check(self) -> None:
         """Raises `ConfigurationError` for options that do not fit together."""
         self.require_positive("num_points", "context_points", "feature_dim", "patch_points", "patch_radius")
-        if self.n_obs_steps != 1 or not self.encoder_dims or self.context_points > self.num_points:
+        is_empty = not self.encoder_dims or min(self.encoder_dims) < 1
+        if self.n_obs_steps != 1 or is_empty or self.context_points > self.num_points:
             raise ConfigurationError(
                 f"Options of {self.type} do not fit together.",
                 got=f"n_obs_steps={self.n_obs_steps}, encoder_dims={self.encoder_dims}, "
                 f"context_points={self.context_points}",
-                allowed=f"n_obs_steps=1, non-empty encoder_dims, context_points <= num_points={self.num_points}",
+                allowed=f"n_obs_steps=1, encoder_dims >= 1, context_points <= num_points={self.num_points}",
                 hint="none of these options",
             )
 

@@ -203,6 +203,7 @@ def mirrored_motions(motions: Tensor) -> Tensor:
     return motions * constant((1.0, -1.0, 1.0, -1.0, 1.0, -1.0, 1.0), motions)
 
 
+@_in_float32
 def points_seen(cloud: Tensor, tool: Tensor) -> Tensor:
     """Transforms points (..., N, 3) [m, base frame] to the frame of tool poses (..., 10)."""
     frame = matrix_from_6d(tool[..., ROTATION_DIMS])
@@ -222,6 +223,7 @@ def upwards(tool: Tensor) -> Tensor:
 # Grasps: approaches with two fingers ----------------------------------------------------------------------------------
 
 
+@_in_float32
 def grasp_correction(goal: Tensor, proposed: Tensor) -> Tensor:
     """Returns corrections from proposed poses to goals (B, 10): translation, tilt of the approach, turn about it.
 

@@ -102,7 +102,7 @@ OPTIONS = {name for preset in PRESETS.values() for name in preset}
 """Options whose default is the preset's."""
 COUNTS = (
     "num_points", "num_anchors", "memory_dim", "trunk_dim", "training_points", "coarse_points", "refinement_points",
-    "num_inference_steps",
+    "num_inference_steps", "encoder_out_dim",
 )  # fmt: skip
 """Options that are at least 1."""
 SIZES = (*COUNTS, "down_dims", "encoder_dims", "num_refinements")
@@ -278,7 +278,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
 
     def _check_sizes(self) -> None:
         fits = all(getattr(self, name) >= 1 for name in COUNTS if name in PRESETS[self.preset])
-        fits = fits and len(self.encoder_dims) > 0 and (self.num_refinements or 0) >= 0
+        fits = fits and min(self.encoder_dims, default=0) >= 1 and (self.num_refinements or 0) >= 0
         fits = fits and self.num_inference_steps <= TRAIN_TIMESTEPS
         if self.method.head == "diffusion":
             widths = tuple(self.down_dims or ())
@@ -287,7 +287,7 @@ class DP3AdaptiveConfig(CloudPolicyConfig):
             raise self._error(
                 "Sizes do not fit.",
                 [name for name in SIZES if name in PRESETS[self.preset]],
-                f"down_dims that {UNET_GROUPS} divides, some encoder_dims, {', '.join(COUNTS)} >= 1, "
+                f"down_dims that {UNET_GROUPS} divides, encoder_dims and {', '.join(COUNTS)} >= 1, "
                 f"num_refinements >= 0, num_inference_steps <= {TRAIN_TIMESTEPS}",
                 f"--policy.preset={self.preset}, and none of these",
             )

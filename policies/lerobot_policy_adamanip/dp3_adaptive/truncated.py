@@ -158,7 +158,7 @@ class TruncatedHead(ToolHead):
         if config.n_action_history_steps:
             events = make_memory(config.memory_kind, config.memory_dim, config.n_action_history_steps)
             self.memory = ChoiceMemory(events, config.memory_dim, width, config.num_anchors)
-        self.register_load_state_dict_pre_hook(_leave_out_memory)  # type: ignore[no-untyped-call]
+        self.register_load_state_dict_pre_hook(_leave_out_parts)  # type: ignore[no-untyped-call]
 
     def forward(self, window: Window) -> tuple[Tensor, Tensor, Tensor | None]:
         """Returns features (B, W), logits (B, K) without memory, and what the memory adds to the logits."""
@@ -186,7 +186,9 @@ class TruncatedHead(ToolHead):
             needed, cloud = motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
             losses["refinement_loss"] = self.refiner.loss_where(needed, cloud, goal, self.instruction(window))
         total = torch.stack(list(losses.values())).sum(dim=0)
-        return total, is_label[:, 0].to(total.dtype), {name: loss.detach().mean() for name, loss in losses.items()}
+        weight = is_label[:, 0].to(total.dtype)
+        shares = weight / weight.sum().clamp(min=1)
+        return total, weight, {name: (loss.detach() * shares).sum() for name, loss in losses.items()}
 
     def sample(self, window: Window, noise: Tensor | None) -> Tensor:
         """Draws actions (B, 1, 10). Uniform ``noise`` (B, ...) in [0, 1): its first value selects the anchor, its last
@@ -433,11 +435,12 @@ def sample_proposals(goal: Tensor) -> Tensor:
     return torch.cat([PROPOSAL_NOISE_M * offset[:, :3], rotation, goal[:, 9:10]], dim=-1)
 
 
-def _leave_out_memory(head: TruncatedHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
-    """Removes the weights of a memory from those that are loaded into a head that has none.
+def _leave_out_parts(head: TruncatedHead, weights: dict[str, Tensor], prefix: str, *_: object) -> None:
+    """Removes the weights of a memory or a refiner from those that are loaded into a head that has none.
 
-    Nothing else was trained with it, so the rest is the policy without a history.
+    Nothing else was trained with them, so the rest is the policy without a history or without refinement.
     """
-    if head.memory is None:
-        for name in [name for name in weights if name.startswith(f"{prefix}memory.")]:
-            del weights[name]
+    parts = {"memory": head.memory, "refiner": head.refiner}
+    absent = tuple(f"{prefix}{name}." for name, part in parts.items() if part is None)
+    for name in [name for name in weights if name.startswith(absent)]:
+        del weights[name]

@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from lerobot.configs.policies import PreTrainedConfig
 
+from lerobot_adamanip.util.errors import ConfigurationError
 from lerobot_policy_adamanip.affordance.config import AffordanceConfig
 
 
@@ -30,3 +31,8 @@ class SamplingConfig(AffordanceConfig):
         """Raises `ConfigurationError` for options that do not fit together."""
         super().check()
         self.require_positive("num_motions", "latent_dim", "likely_share")
+        if self.likely_share > 1:
+            raise ConfigurationError(
+                "No point is likely enough.", got=f"likely_share={self.likely_share}", allowed="above 0, at most 1",
+                hint="--policy.likely_share=0.3",
+            )  # fmt: skip

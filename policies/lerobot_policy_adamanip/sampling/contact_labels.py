@@ -40,14 +40,14 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
     handle were both grasped before anything moved, both can be grasped from the first row on. Raises
     `ConfigurationError` if there is no contact.
     """
-    labels = np.full((1 + int(demonstrations.index.max()), MAX_CONTACTS), -1, dtype=np.int64)
+    labels = np.full((len(demonstrations), MAX_CONTACTS), -1, dtype=np.int64)
     grasps: list[NDArray[np.float32]] = []
     for rows in demonstrations.episodes():
         numbers, stretch = np.arange(rows.start, rows.stop), demonstrations.stretches(rows)
         for contact in demonstrations.contacts(rows):
             counts = stretch == stretch[contact.start - rows.start]
             counts &= demonstrations.open_and_away(numbers, contact.grasp[:3])
-            _add(labels, demonstrations.index[numbers[counts]], len(grasps))
+            _add(labels, numbers[counts], len(grasps))
             grasps.append(contact.grasp)
     motions = motions_in_contact(demonstrations)
     if not len(motions):
@@ -60,12 +60,12 @@ def label_contacts(demonstrations: Demonstrations) -> ContactLabels:
     return ContactLabels(labels, np.stack(grasps).reshape(-1, ACTION_DIM), motions)
 
 
-def _add(labels: NDArray[np.int64], indices: NDArray[np.int64], contact: int) -> None:
+def _add(labels: NDArray[np.int64], rows: NDArray[np.int64], contact: int) -> None:
     """Writes a contact to the first free column of each row; a full row keeps its earlier ones."""
-    for index in indices:
-        free = np.flatnonzero(labels[index] < 0)
+    for row in rows:
+        free = np.flatnonzero(labels[row] < 0)
         if len(free):
-            labels[index, free[0]] = contact
+            labels[row, free[0]] = contact
 
 
 def motions_in_contact(demonstrations: Demonstrations) -> NDArray[np.float32]:

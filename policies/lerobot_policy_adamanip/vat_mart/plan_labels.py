@@ -44,13 +44,13 @@ def label_plans(demonstrations: Demonstrations, waypoints: int) -> PlanLabels:
 
     A plan has at most ``waypoints`` key frames in contact, K. Raises `ConfigurationError` if none opens an object.
     """
-    plan_of = np.full(1 + int(demonstrations.index.max()), -1, dtype=np.int64)
+    plan_of = np.full(len(demonstrations), -1, dtype=np.int64)
     contacts_of = ((rows, demonstrations.contacts(rows)) for rows in demonstrations.episodes())
     plans = [(rows, contacts[0]) for rows, contacts in contacts_of if contacts]
     for number, (rows, contact) in enumerate(plans):
         candidates = np.arange(rows.start, contact.start + 1)
         visible = candidates[demonstrations.open_and_away(candidates, contact.grasp[:3])]
-        plan_of[demonstrations.index[visible]] = number
+        plan_of[visible] = number
     contacts = [contact for _, contact in plans]
     moved = np.array([_moved(demonstrations, contact, waypoints) for contact in contacts])
     tasks = demonstrations.task[[contact.start for contact in contacts]]
