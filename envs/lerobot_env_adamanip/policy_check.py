@@ -81,12 +81,13 @@ def _require_categories(path: str, categories: Sequence[str]) -> None:
     trained = trained_categories(Path(path))
     foreign = [name for name in categories if name not in trained]
     if trained and foreign:
-        kind = f"--env.type=adamanip_{trained[0]}"
+        kind = "--env.type=adamanip"
+        kind += f"_{trained[0]}" if len(trained) == 1 else f" --env.categories={','.join(trained)}"
         raise ConfigurationError(
             "The policy was trained on other categories.",
             got=f"environments of {listed(foreign)}",
             allowed=f"{listed(trained)}, on which {path} was trained",
-            hint=kind if len(trained) == 1 else f"--env.type=adamanip --env.categories={','.join(trained)}",
+            hint=f"{kind}; or, to test what it does there all the same, --env.other_categories=true",
         )
 
 

@@ -59,7 +59,7 @@ _EXPERT_OPTIONS = {
 """Option of `lerobot-eval` -> option of `adamanip expert`, which has no others of an environment."""
 _CHOSEN = (
     "episode_log", "observe_", "num_points", "image_", "camera", "cloud_source", "control", "fps", "action", "state",
-    "memory", "self_calibration",
+    "memory", "self_calibration", "other_categories",
 )  # fmt: skip
 CHOSEN = tuple(f"--env.{start}" for start in _CHOSEN)
 """Starts of the options of an environment that a method may choose: they do not change its scenes."""

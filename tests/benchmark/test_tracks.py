@@ -85,6 +85,14 @@ def test_no_training_sees_a_held_out_category_beyond_what_is_declared(scale: str
     assert {len(keys) for keys in trainings.values()} == {1}, "shared by the categories of a group"
 
 
+@pytest.mark.parametrize("scale", ["held_out_category", "held_out_category_five"])
+@pytest.mark.parametrize("method", ["dp3_adaptive_elsewhere", "dp3_adaptive_elsewhere_without_memory"])
+def test_an_evaluation_allows_categories_that_its_policy_has_not_seen(scale: str, method: str) -> None:
+    evaluation = chain(scale, method, "pen")[-1]
+    assert options(evaluation)["--env.other_categories"] == "true"
+    assert "--env.other_categories" not in dict(scene_options(shlex.join(evaluation.command))), "its scenes stay"
+
+
 def test_what_is_trained_on_other_categories_does_not_depend_on_what_is_shown_then() -> None:
     first = [
         next(step.key for step in chain(scale, "dp3_adaptive_elsewhere", "pen") if step.kind == TRAIN)

@@ -76,6 +76,7 @@ def test_another_category_is_one_error_with_both(tmp_path: Path, monkeypatch: py
         ):
             evaluate(monkeypatch, path, env_type, **options)
     evaluate(monkeypatch, path, "adamanip_door", "--dataset.repo_id=local/doors")  # a training that goes on from it
+    evaluate(monkeypatch, path, "adamanip_door", other_categories=True)
 
 
 @pytest.mark.parametrize(
