@@ -221,7 +221,7 @@ class AdaManipEnvConfig(EnvConfig):
         run_id = new_run_id() if self.episode_log else None  # shared by all environments in the log
         common: dict[str, Any] = {"observe_images": observed, "run_id": run_id}
         options = {name: self._options(**group, **common) for name, group in self._groups().items()}
-        require_fitting_policy(self, () if self.other_categories else [one.category for one in options.values()])
+        require_fitting_policy(self, [one.category for one in options.values()])
         return {name: {0: make_vector_env(one, n_envs, use_async_envs, names)} for name, one in options.items()}
 
     def _groups(self) -> dict[str, dict[str, Any]]:

@@ -37,12 +37,12 @@ _OPTIONAL = {
 def require_fitting_policy(environment: AdaManipEnvConfig, categories: Sequence[str]) -> None:
     """Raises `ConfigurationError` if the policy of ``--policy.path`` was trained on other categories or observations.
 
-    A training with ``--dataset.repo_id`` may continue from a policy of any category.
+    A training with ``--dataset.repo_id`` may continue from a policy of any category, and ``other_categories`` test it.
     """
     path, policy = parser.get_path_arg("policy"), None
     if path is not None:
-        is_training = parser.parse_arg("dataset.repo_id") is not None
-        policy = require_fitting_checkpoint(path, environment, () if is_training else categories)
+        is_free = environment.other_categories or parser.parse_arg("dataset.repo_id") is not None
+        policy = require_fitting_checkpoint(path, environment, () if is_free else categories)
     _require_repeats(policy, environment)
 
 
