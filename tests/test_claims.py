@@ -293,6 +293,9 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
         ("held_out_changing", "unseen", "dp3_adaptive_corrected"),
         ("real_sensors", "unseen", "dp3_adaptive_corrected"),
         ("real_sensors", "novel", "dp3_adaptive_corrected"),
+        ("held_out_category", "unseen", "dp3_adaptive_elsewhere"),
+        ("held_out_category_five", "unseen", "dp3_adaptive_elsewhere"),
+        ("held_out_mechanism", "unseen", "dp3_adaptive"),
     ],
 )
 def test_tracks_are_measured_as_said(scale: str, objects: str, method: str) -> None:
