@@ -308,6 +308,31 @@ def test_tracks_are_measured_as_said(scale: str, objects: str, method: str) -> N
     assert row in DOCUMENTS["docs/tracks.md"]
 
 
+def test_held_out_categories_are_counted_as_said() -> None:
+    def counts_of(scale: str, method: str) -> list[Metrics]:
+        report = REPORTS[scale]
+        return [report.entries[method, name, "unseen"].metrics for name in report.categories]
+
+    five = [counts_of("held_out_category_five", f"dp3_adaptive_elsewhere{end}") for end in ("", "_without_memory")]
+    for title, each in zip(("memory", "removed"), five, strict=True):
+        cells = " | ".join(str(metrics.within_best_tries.count) for metrics in each if metrics.within_best_tries)
+        assert f"| {title} | {cells} |" in DOCUMENTS["docs/tracks.md"]
+    names = REPORTS["held_out_category_five"].categories
+    ends = {name: metrics.failures or {} for name, metrics in zip(names, five[0], strict=True)}
+    text = f"At windows and doors {ends['window']['no try']} and {ends['door']['no try']} of 60 episodes end without"
+    assert text in DOCUMENTS["docs/tracks.md"]
+    locked = [metrics.hidden["locked"] for metrics in five[0] if "locked" in metrics.hidden]
+    text = f"{sum(each.count for each in locked)} of {sum(each.episodes for each in locked)} locked safes and"
+    assert text in DOCUMENTS["docs/tracks.md"]
+    zero = counts_of("held_out_category", "dp3_adaptive_elsewhere")
+    first = [each.hidden["unlocked"] for each in zero if "unlocked" in each.hidden]
+    opened = [f"{each.count} of {each.episodes} unlocked" for each in first]
+    assert f"{opened[0]} safes and {opened[1]} microwaves open" in DOCUMENTS["docs/tracks.md"]
+    repeated = pool(counts_of("held_out_mechanism", "dp3_adaptive")).repeated
+    assert repeated is not None
+    assert f"({repeated.count} of {repeated.episodes} failed tries after" in DOCUMENTS["docs/tracks.md"]
+
+
 def test_self_calibration_adds_to_real_sensors_what_is_said() -> None:
     report, said = REPORTS["real_sensors"], []
     for objects in ("unseen", "novel"):

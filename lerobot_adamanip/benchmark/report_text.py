@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Collection, Iterable, Mapping, Sequence
+from pathlib import Path
 
 from lerobot_adamanip.benchmark.paper_rates import PAPER_OBJECTS, reported, reported_mean
 from lerobot_adamanip.benchmark.plan import COLLECT, CORRECT, TRAIN
@@ -246,12 +247,14 @@ def _recorded(options: Mapping[str, str]) -> int:
 
 
 def _steps(run: CellRun) -> str:
-    """Returns the steps of a run's trainings, the last one first if they are of several categories."""
-    trainings = [options for _, options in run.options_of(TRAIN)]
-    steps = [options["--steps"] for options in trainings]
-    is_of_one = len(list(run.options_of(COLLECT))) == 1
-    shown = " + ".join(steps) if is_of_one else f"{steps[-1]}, after {counted(len(steps) - 1, 'training')}"
-    return f"{shown} x {trainings[-1]['--batch_size']}"
+    """Returns the steps of the last training and of those that it goes on from, and the number of all others."""
+    trainings = {run.steps[name].key: options for name, options in run.options_of(TRAIN)}
+    chain = list(trainings.values())[-1:]
+    while (start := Path(chain[0].get("--policy.path", "")).parts[1:2]) and start[0] in trainings:
+        chain.insert(0, trainings[start[0]])
+    steps, others = " + ".join(options["--steps"] for options in chain), len(trainings) - len(chain)
+    after = f", after {counted(others, 'training')}" if others else ""
+    return f"{steps}{after} x {chain[-1]['--batch_size']}"
 
 
 def _costs_of(runs: Sequence[CellRun]) -> list[str]:
