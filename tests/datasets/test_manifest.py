@@ -25,7 +25,7 @@ VERSIONS = {"simulation": "3", "torch": "2.11.0", "renderer": "llvmpipe (LLVM 19
 
 
 def test_a_manifest_survives_the_disk(tmp_path: Path) -> None:
-    wanted = Manifest(make_spec(hidden_overrides={"locked": True, "angle": 0.5}, poses="fixed"), VERSIONS)
+    wanted = Manifest(make_spec(hidden_overrides={"locked": True, "knob_range": 0.5}, poses="fixed"), VERSIONS)
     write_manifest(tmp_path / "m", wanted)
     assert read_manifest(tmp_path / "m") == wanted
 

@@ -33,6 +33,8 @@ class SamplingConfig(AffordanceConfig):
         self.require_positive("num_motions", "latent_dim", "likely_share")
         if self.likely_share > 1:
             raise ConfigurationError(
-                "No point is likely enough.", got=f"likely_share={self.likely_share}", allowed="above 0, at most 1",
+                "No point is likely enough.",
+                got=f"likely_share={self.likely_share}",
+                allowed="above 0, at most 1",
                 hint="--policy.likely_share=0.3",
-            )  # fmt: skip
+            )
