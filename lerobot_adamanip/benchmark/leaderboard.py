@@ -214,7 +214,7 @@ def _problems_of(
         yield "without the outcome and the failed tries of each scene"
     elif not _has_possible_tries(row):
         yield "repeated and untried are not of its scenes' failed tries"
-    elif any(pair[0] == WITHIN_TRIES and int(pair[1]) > _most_tries(row) for pair in _scenes(row)):
+    elif _exceeds_best_tries(row):
         yield "scenes within the best strategy's tries have more failed tries than those"
 
 
@@ -252,15 +252,12 @@ def _has_possible_tries(row: ResultRow) -> bool:
     return decisions == by_count and (is_capped or decisions <= sum(map(int, row.scene_tries)))
 
 
-def _scenes(row: ResultRow) -> Iterator[tuple[str, str]]:
-    """Yields outcome and failed tries of each scene, see `lerobot_adamanip.evaluation.paired`."""
-    return zip(row.scene_outcomes, row.scene_tries, strict=True)
-
-
-def _most_tries(row: ResultRow) -> int:
-    """Returns the failed tries that the best strategy needs at worst in a row's scenes."""
+def _exceeds_best_tries(row: ResultRow) -> bool:
+    """Returns whether a scene counts as within the best strategy's tries, with more failed tries than it ever needs."""
     mechanism = make_mechanism(make_object(seen_objects(row.category)[0]), row.mechanism_rules)
-    return best_tries(row.category, row.mechanism_rules, mechanism.hidden_names)[1]
+    _, most = best_tries(row.category, row.mechanism_rules, mechanism.hidden_names)
+    scenes_within = (pair for pair in zip(row.scene_outcomes, row.scene_tries, strict=True) if pair[0] == WITHIN_TRIES)
+    return any(int(tries) > most for _, tries in scenes_within)
 
 
 def scenes(cell: Cell, declaration: Declaration, scale: str) -> frozenset[tuple[str, str]]:

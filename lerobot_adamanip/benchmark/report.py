@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 import statistics
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -186,8 +185,10 @@ class BenchmarkReport:
     def runs_of(self, method: str) -> list[CellRun]:
         """Returns a `CellRun` of each last training of a method, which several results may share."""
         runs = [result.run for result in self.results if result.run is not None and result.run.method == method]
-        last = [[step.key for name, step in run.steps.items() if name.startswith(TRAIN)][-1:] for run in runs]
-        return list({"".join(key) or id(run): run for key, run in zip(last, runs, strict=True)}.values())
+        names = [_last_training(run) for run in runs]
+        return list(
+            {run.steps[name].key if name else id(run): run for run, name in zip(runs, names, strict=True)}.values()
+        )
 
     def mean_losses(self, method: str) -> list[float]:
         """Returns the loss curve of a method's last training, relative to its first value.
@@ -205,7 +206,7 @@ class BenchmarkReport:
             origin = {"result": f"benchmark/{self.scale}", "simulation_version": first.simulation_version}
             labels = {"subject": method, "mechanism_rules": first.rows[0].mechanism_rules, "category": category}
             counts = {k: entry.metrics.opened_within(k).count for k in KEY_FRAME_BUDGETS}
-            is_dense = f"--env.control={DENSE}" in shlex.split(first.command)  # its rows are no key frames
+            is_dense = evaluation_options(first.command).get("--env.control") == DENSE  # its rows are no key frames
             within = {f"within_{k}_key_frames": "" if is_dense else count for k, count in counts.items()}
             trainings = {"objects": objects, "trainings": len(entry.results)}
             yield {**origin, **labels, **trainings, **entry.metrics.columns(), **within}
@@ -213,8 +214,12 @@ class BenchmarkReport:
 
 def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
     """Returns the logs of the last training of each run that has one."""
-    last = [(run, [name for name, _ in run.options_of(TRAIN)][-1:]) for run in runs]
-    return [run.trainings[name] for run, names in last for name in names if name in run.trainings]
+    return [run.trainings[name] for run in runs if (name := _last_training(run)) in run.trainings]
+
+
+def _last_training(run: CellRun) -> str:
+    """Returns the name of a run's last training step; empty if it has none."""
+    return next((name for name, _ in reversed(list(run.options_of(TRAIN)))), "")
 
 
 def scenes_of(result: ResultFile) -> tuple[object, ...]:

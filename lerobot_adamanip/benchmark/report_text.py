@@ -29,8 +29,7 @@ LEGEND = f"""## How to read it
   and need a result of each; those of tries leave out categories without a success or without a failed try.
 - The CSV file has counts, Wilson's 95 % intervals and all metrics of each category, also by hidden value. Its intervals
   take all episodes as independent, so they are too narrow where several trainings see the same scenes, where several
-  episodes in a row play one scene, or where the object decides more than the scene. Those of novel doors are half as
-  wide as an interval over their 20 objects.
+  episodes in a row play one scene, or where the object decides more than the scene.
 - The paper's values are mean ± deviation in %, on its own objects and in its own simulator. It does not say what the
   deviation measures. {BELOW_PAPER}: below the paper's mean less its deviation.
 - Differences are with a change less without it, in points, in the same scenes: the mean over scenes and trainings, a
@@ -247,7 +246,10 @@ def _recorded(options: Mapping[str, str]) -> int:
 
 
 def _steps(run: CellRun) -> str:
-    """Returns the steps of the last training and of those that it goes on from, and the number of all others."""
+    """Returns the steps of the last training, after those of the trainings that it continues.
+
+    Trainings that it does not continue are counted.
+    """
     trainings = {run.steps[name].key: options for name, options in run.options_of(TRAIN)}
     chain = list(trainings.values())[-1:]
     while (start := Path(chain[0].get("--policy.path", "")).parts[1:2]) and start[0] in trainings:

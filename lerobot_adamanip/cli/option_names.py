@@ -61,7 +61,7 @@ def _options(options: type[Any]) -> Iterator[tuple[str, tuple[str, ...]]]:
 
 
 def _lists(options: type[Any]) -> Iterator[str]:
-    """Yields the options with several values, of which a second one drops those of the first."""
+    """Yields the options that take several values at once, and may be given only once."""
     from tyro.conf import UseAppendAction
 
     appends = get_args(UseAppendAction[int])[1]

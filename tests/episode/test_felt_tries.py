@@ -159,7 +159,7 @@ def test_an_arm_that_follows_a_far_command_as_fast_as_it_can_is_not_blocked(fps:
 
 @pytest.mark.parametrize("fps", RATES)
 def test_a_short_pull_that_only_stretches_fingers_is_blocked(fps: int) -> None:
-    """As experts do it: 4.4 cm in 0.2 s, of which fingers that give way cover 6 mm."""
+    """An expert's pull: commands up to 4.4 cm within 0.2 s. The hand moves by 6 mm, because the fingers give way."""
     stream = Stream(Memory(control=DENSE, action=EE_DELTA, fps=fps), is_dense=True)
     stream.grasps()
     steps = max(1, round(0.2 * fps))

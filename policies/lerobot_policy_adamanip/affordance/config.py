@@ -43,7 +43,7 @@ class AffordanceConfig(CloudPolicyConfig):
     def check(self) -> None:
         """Raises `ConfigurationError` for options that do not fit together."""
         self.require_positive("num_points", "context_points", "feature_dim", "patch_points", "patch_radius")
-        is_empty = not self.encoder_dims or min(self.encoder_dims) < 1
+        is_empty = min(self.encoder_dims, default=0) < 1
         if self.n_obs_steps != 1 or is_empty or self.context_points > self.num_points:
             raise ConfigurationError(
                 f"Options of {self.type} do not fit together.",
