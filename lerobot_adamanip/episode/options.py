@@ -198,10 +198,8 @@ class EnvironmentOptions:
             mechanism = make_mechanism(get_object(object_id, self.assets), self.mechanism_rules)
             drawn = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category)))
             ranges = {name for name, one in drawn.items() if isinstance(one, float)}
-            is_range = {
-                name: name in ranges and isinstance(one, float) and 0 < one < math.inf for name, one in fixed.items()
-            }
-            chosen = {name: one for name, one in fixed.items() if not is_range[name]}
+            positive = {name for name, one in fixed.items() if isinstance(one, float) and 0 < one < math.inf}
+            chosen = {name: one for name, one in fixed.items() if name not in ranges & positive}
             drawn = mechanism.hidden(mechanism.draw(BalancedDraws(0, self.category), chosen))
             fixed |= {name: drawn[name] for name in chosen}
         object.__setattr__(self, "hidden_overrides", MappingProxyType(fixed))
