@@ -13,7 +13,7 @@ from lerobot_adamanip.benchmark.report import BenchmarkReport, within
 from lerobot_adamanip.catalog import CATEGORIES
 from lerobot_adamanip.evaluation.metrics import Metrics, pool
 from lerobot_adamanip.evaluation.paired import FAILED, OPENED, WITHIN_TRIES, PairedDifference
-from lerobot_adamanip.evaluation.rates import show
+from lerobot_adamanip.evaluation.rates import Rate, show
 from lerobot_adamanip.evaluation.record import read_log
 from lerobot_adamanip.evaluation.results import read_result
 from lerobot_adamanip.evaluation.text_format import percent_text
@@ -359,16 +359,57 @@ def test_failures_in_a_row_are_counted_as_said() -> None:
     assert text in DOCUMENTS["docs/tracks.md"]
 
 
-def test_the_readme_says_how_hard_a_row_is() -> None:
-    methods = (
-        ("row", "dp3_adaptive"),
-        ("row", "dp3_adaptive_without_memory"),
-        ("held_out_row", "dp3_adaptive_corrected"),
+def test_the_readme_says_how_hard_a_row_and_an_unseen_category_are() -> None:
+    row, other = REPORTS["row"], REPORTS["held_out_category"]
+    opened = sorted(
+        (rate.rate or 0, name)
+        for name in row.categories
+        if (rate := within(row.entries["dp3_adaptive", name, "unseen"].metrics))
     )
-    shares = [REPORTS[scale].mean(name, "unseen", within) for scale, name in methods]
-    shown, removed, other = (f"{100 * share:.0f}" for share in shares if share is not None)
-    text = f"opens {shown} % of rows of three locks within the tries, {removed} without its memory, and {other} if it"
-    assert f"{text} has seen single locks alone." in DOCUMENTS["README.md"]
+    least, most = (f"{100 * rate:.0f} % at {name}s" for rate, name in (opened[0], opened[-1]))
+    means = (
+        (row, "dp3_adaptive"),
+        (row, "dp3_adaptive_without_memory"),
+        (other, "dp3_adaptive_elsewhere"),
+        (other, "luck"),
+        (REPORTS["real_sensors"], "luck"),
+    )
+    shares = [report.mean(name, "unseen", within) for report, name in means]
+    shown, removed, zero, luck, guess = (f"{100 * share:.0f}" for share in shares if share is not None)
+    text = f"opens {shown} % of rows of three locks within the tries ({least}, {most}; one training), {removed} without"
+    text += f" its memory. Of a category that it has not seen it opens {zero} %, where one guess opens {luck}."
+    assert text in DOCUMENTS["README.md"]
+    assert f"opens {guess} % within the tries by one guess" in DOCUMENTS["README.md"]
+
+
+def test_locks_that_were_never_shown_are_counted_as_said() -> None:
+    def of_lock(scale: str, value: str, end: str = "") -> Rate:
+        report = REPORTS[scale]
+        cells = (report.entries[f"dp3_adaptive_corrected{end}", name, "unseen"] for name in report.categories)
+        return (pool(cell.metrics for cell in cells).hidden or {})[value]
+
+    second, third = (of_lock("held_out_row", f"not {place}_pulls") for place in ("second", "third"))
+    text = f"{second.count} of {second.episodes} whose second lock is not a pull, {third.count} of {third.episodes} "
+    assert f"{text}whose third is not" in DOCUMENTS["docs/tracks.md"]
+    (shut, removed), (open_, without) = (
+        [of_lock("held_out_changing", value, end) for end in ("", "_without_memory")]
+        for value in ("relocks", "not relocks")
+    )
+    text = f"where the lock shuts again {shut.count} of {shut.episodes} open ({removed.count} without the memory); "
+    text += f"where it does not, which is an ordinary lock, {open_.count} of {open_.episodes} ({without.count})"
+    assert text in DOCUMENTS["docs/tracks.md"]
+
+
+def test_safes_are_counted_by_what_each_scene_needs() -> None:
+    (best, own), (removed, removed_own) = (
+        [rate.count for rate in (of.within_best_tries, of.within_own_tries) if rate]
+        for of in (metrics(method, "safe") for method in MEMORY)
+    )
+    text = f"of 300 safes {own} open instead of {best}, without the memory {removed_own} instead of {removed}"
+    assert text in DOCUMENTS["docs/memory.md"]
+    first = metrics("dp3_adaptive", "safe").tried_locked_first
+    assert first
+    assert f"it pulls first at {first.count} of the {first.episodes} locked ones" in DOCUMENTS["docs/memory.md"]
 
 
 def test_scenes_that_are_played_again_are_counted_as_said() -> None:
