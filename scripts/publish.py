@@ -21,13 +21,14 @@ from typing import Any
 from check_common import list_of
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
-from lerobot_adamanip.benchmark.plan import COLLECT, FOLDERS, MERGE, TRAIN, last_checkpoint
+from lerobot_adamanip.benchmark.plan import FOLDERS, TRAIN, last_checkpoint
 from lerobot_adamanip.cli.push import PushCommand
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.evaluation.results import CellRun, read_result
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
+DECLARED = "lerobot_adamanip/benchmark/default_policy.toml"
 NAME = "dp3-adaptive"
 
 
@@ -39,7 +40,7 @@ def result_paths(root: Path, method: str, category: str, seed: int) -> tuple[Pat
             "No result of this policy.",
             got=paths[0],
             allowed="a benchmark's folder with its cells, demonstrations and trainings",
-            hint="adamanip benchmark --scale test, or --benchmark FOLDER",
+            hint=f"adamanip benchmark --config {DECLARED} --scale test, or --benchmark FOLDER",
         )
     return tuple(path for path in paths if path.exists())
 
@@ -77,19 +78,14 @@ def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
     for category in options.categories:
         results = result_paths(options.benchmark, options.method, category, options.seed)
         run = run_of(results)
-        data = _folder(options.benchmark, run, MERGE if MERGE in run.steps else COLLECT)
-        training = _folder(options.benchmark, run, TRAIN)
+        *_, (last, choices) = run.options_of(TRAIN)
+        training = options.benchmark / FOLDERS[TRAIN] / run.steps[last].key
+        data = options.benchmark / choices["--dataset.root"]
         data_name = "adamanip" if options.name == NAME else f"adamanip-{options.name}"
         dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in (data_name, options.name))
         yield PushCommand("dataset", dataset, data, **shared)
         yield PushCommand("model", model, last_checkpoint(training), results, dataset=dataset, **shared)
     yield PushCommand("environment", f"{options.user}/adamanip", **shared)
-
-
-def _folder(root: Path, run: CellRun, kind: str) -> Path:
-    """Returns the product of the last step of a kind."""
-    *_, (name, _) = run.options_of(kind)
-    return root / FOLDERS[kind] / run.steps[name].key
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -107,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     rows: list[dict[str, Any]] = []
     try:
-        for push in publications(options):
+        for push in list(publications(options)):  # all are known before the first is sent
             begin = time.perf_counter()
             sizes, result, _ = push.publish()
             seconds = round(time.perf_counter() - begin, 1)

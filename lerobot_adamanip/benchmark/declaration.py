@@ -275,7 +275,7 @@ def read_declaration(path: Path = PAPER_TABLE) -> Declaration:
             "Not a declaration of a benchmark.",
             got=f"{path}: {error}",
             allowed="see docs/benchmark.md",
-            hint=PAPER_TABLE.name,
+            hint=str(PAPER_TABLE),
         ) from error
 
 

@@ -20,6 +20,7 @@ from lerobot_adamanip.benchmark.policies import find_policies
 from lerobot_adamanip.benchmark.report import make_report
 from lerobot_adamanip.benchmark.report_text import LEGEND, benchmark_page
 from lerobot_adamanip.benchmark.run import FAILED, STALE, BenchmarkRun, CellState
+from lerobot_adamanip.cli.arguments import require_effects
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.collection.ray_cluster import require_usable
 from lerobot_adamanip.evaluation.provenance import machine_class, present_origin
@@ -66,7 +67,9 @@ def _check(options: BenchmarkCommand, cells: int, *, is_chosen: bool) -> None:
         )
     if options.list_cells and options.report:
         raise ConfigurationError("Two things at once.", got="--list and --report", allowed="one of them", hint="--list")
-    if options.cluster is not None:
+    if options.cluster is None:
+        require_effects(options, {"with --cluster": ("insecure_cluster",)})
+    else:
         require_usable(options.cluster, insecure=options.insecure_cluster)
     if options.jobs < 1:
         raise ConfigurationError("Not a number of jobs.", got=options.jobs, allowed="1 or more", hint="--jobs 2")

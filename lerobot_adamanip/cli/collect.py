@@ -221,7 +221,8 @@ class CollectCommand:
             print(f"Interrupted. Every finished episode is kept. To resume:\n  {command}", file=sys.stderr)
             return EXIT_INTERRUPTED
         if self.unscaled_poses and self.part is None:
-            for folder in filter(Path.is_dir, (self.root, CollectionPaths(self.root).failed)):
+            failed = CollectionPaths(self.root).failed
+            for folder in (self.root, failed) if self.keep_failed and failed.is_dir() else (self.root,):
                 leave_poses_unscaled(folder)
         rate = {"episodes_per_minute": round(summary.episodes_per_minute, 3)}
         text = summary_text(summary, self.part, self.adopt, "policy" if self.policy else "expert")
@@ -251,6 +252,8 @@ class CollectCommand:
         idle: dict[str, tuple[str, ...]] = {
             "with --control dense": () if self.control == DENSE else ("fps", "action", "state", "cloud", "effort"),
             "with --policy": () if self.policy else ("expert_share",),
+            "with --cluster": () if self.cluster else ("insecure_cluster",),
+            "with --expert adaptive": () if self.expert == "adaptive" else ("expert_strategy",),
             "without --part": ("unscaled_poses",) if self.part else (),
             "with --action ee_pose or --state full": () if self._has_poses() else ("unscaled_poses",),
         }

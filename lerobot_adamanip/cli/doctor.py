@@ -13,11 +13,14 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import reduce
 from importlib import metadata
+from operator import and_
 from pathlib import Path
 from typing import cast
 
 from packaging.requirements import Requirement
+from packaging.specifiers import SpecifierSet
 from packaging.version import Version
 
 from lerobot_adamanip.contract.categories import CATEGORIES
@@ -111,16 +114,16 @@ def check_versions() -> Iterator[CheckResult]:
 
 def _version(name: str) -> tuple[bool, str]:
     """Returns whether a distribution's installed version is in range, and a text with the version."""
-    ranges: dict[str, Requirement] = {}
+    specifier = SpecifierSet()
     for source in ("lerobot", DISTRIBUTION):
         with contextlib.suppress(metadata.PackageNotFoundError):
-            ranges |= {r.name.lower(): r for r in map(Requirement, metadata.requires(source) or []) if r.specifier}
+            requirements = map(Requirement, metadata.requires(source) or [])
+            specifier = reduce(and_, (each.specifier for each in requirements if each.name.lower() == name), specifier)
     try:
         version = metadata.version(name)
     except metadata.PackageNotFoundError:
         return False, "not installed"
-    specifier = ranges[name].specifier if name in ranges else None
-    fits = specifier is None or specifier.contains(Version(version), prereleases=True)
+    fits = specifier.contains(Version(version), prereleases=True)
     return fits, version if fits else f"{version}, wanted {specifier}"
 
 

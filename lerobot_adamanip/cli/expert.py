@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 from lerobot_adamanip.cli.arguments import Category, print_result, require_expert_options
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.schema import MAX_KEY_FRAMES
-from lerobot_adamanip.contract.seeds import Stream, episode_generator
+from lerobot_adamanip.contract.seeds import MAX_SEED, Stream, episode_generator
 from lerobot_adamanip.episode.options import EnvironmentOptions
 from lerobot_adamanip.util.errors import ConfigurationError
 
@@ -83,8 +83,11 @@ class ExpertCommand:
         require_expert_options(self.expert, self.trials, self.expert_strategy, self.mechanism_rules)
         if self.episodes < 1:
             raise ConfigurationError("No episode.", got=self.episodes, allowed="1 or more", hint="--episodes 50")
-        if self.seed < 0:
-            raise ConfigurationError("A seed is negative.", got=self.seed, allowed="0 or more", hint="--seed 1000")
+        if self.trials < 1:
+            raise ConfigurationError("No trial.", got=self.trials, allowed="1 or more", hint="--trials 1")
+        if not 0 <= self.seed <= MAX_SEED + 1 - self.episodes:
+            allowed = f"0 or more, all seeds up to {MAX_SEED}"
+            raise ConfigurationError("Not a first seed.", got=self.seed, allowed=allowed, hint="--seed 1000")
         if self.episode_log.exists():
             raise ConfigurationError(
                 "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result, require_suffix
+from lerobot_adamanip.cli.arguments import CategoryOrAll, print_result, require_effects, require_suffix
 from lerobot_adamanip.cli.progress import show_progress
 from lerobot_adamanip.contract.categories import ALL, CATEGORIES
 from lerobot_adamanip.util.errors import ConfigurationError, SimulatorError
@@ -68,7 +68,9 @@ class ObjectsCommand:
                 allowed=f"1 column or more, {_SIZES[0]} ... {_SIZES[1]} px",
                 hint="--columns 9 --size 240",
             )
-        if self.out is not None:
+        if self.out is None:
+            require_effects(self, {"with --out": ("columns", "size")})
+        else:
             from lerobot_adamanip.cli.collect_setup import require_renderer
 
             require_suffix(self.out, SUFFIXES, "--out objects.png")

@@ -110,7 +110,8 @@ class PushCommand:
         if self.kind == "environment":
             from lerobot_adamanip.evaluation.provenance import present_origin
 
-            commit = present_origin().commit or ""
+            origin = present_origin()
+            commit = "" if origin.changed else origin.commit or ""
             return stage_environment(self.repo_id, into, category=self.category, results=results, commit=commit)
         assert self.folder is not None
         if self.kind == "model":

@@ -42,7 +42,7 @@ class ReportCommand:
     --eval.n_episodes: the log also holds the surplus of the last batch, which `lerobot-eval` ignores."""
 
     pool: bool = False
-    """Count all evaluations in a log on one scene split together."""
+    """Count all evaluations of one label and scene split in a log together."""
 
     out: tuple[Path, ...] = ()
     """Files to write: a plot (.png, .pdf or .svg) of success by group and over episodes, or a result file (.json) for
@@ -65,7 +65,13 @@ class ReportCommand:
         from lerobot_adamanip.evaluation.report import compare
 
         logs = {label: read_log(path) for label, path in zip(labels, self.logs, strict=True)}
-        evaluations = dict(self._evaluations(logs))
+        evaluations: Evaluations = {}
+        for label, records in self._evaluations(logs):
+            if label in evaluations:
+                raise ConfigurationError(
+                    "Two evaluations have one name.", got=label, allowed="a name for each", hint="--label FIRST SECOND"
+                )
+            evaluations[label] = records
         comparison = compare(evaluations)
         for path in self.out:
             self._write(evaluations, path)
@@ -92,6 +98,10 @@ class ReportCommand:
         results = [path for path in self.out if path.suffix.lower() == _RESULT]
         for path in self.out:
             require_suffix(path, (".png", ".pdf", ".svg", _RESULT), "curve.png")
+            if path.resolve() in {log.resolve() for log in self.logs}:
+                raise ConfigurationError(
+                    "This would replace an episode log.", got=path, allowed="another file", hint="--out result.json"
+                )
         if self.episodes is not None and self.episodes < 1:
             raise ConfigurationError("Nothing to count.", got=self.episodes, allowed=">= 1", hint="--episodes 100")
         if results and not self.command:

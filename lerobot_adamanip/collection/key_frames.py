@@ -52,9 +52,9 @@ def require_one_source(sources: Iterable[Path]) -> Path:
     if others:
         raise ConfigurationError(
             "A simulated dataset at control rate is converted alone.",
-            got=", ".join(each.name for each in (first, *others)),
+            got=", ".join(map(str, (first, *others))),
             allowed="one such dataset, or recordings of a robot with datasets of key frames",
-            hint=f"adamanip keyframes {first.name} --out A; then adamanip merge A B --out BOTH",
+            hint=f"adamanip keyframes {first} --out A; then adamanip merge A B --out BOTH",
         )
     return first
 

@@ -44,7 +44,7 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
                 "A video does not fit its episode.",
                 got=f"episode {row['episode_index']}: {frames} frames from {span[0]} on in {path}",
                 allowed=f"{row['length']} frames, as many as rows",
-                hint=f"adamanip check {root.name}",
+                hint=f"adamanip check {root}",
             )
         return cut.read_bytes()
 

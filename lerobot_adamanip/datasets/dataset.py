@@ -306,7 +306,7 @@ class Dataset:
             "Rows of a dataset cannot be read.",
             got=f"{self.root}, episode {episode.number}: {problem}",
             allowed="consecutive rows of each episode",
-            hint=f"adamanip check {self.root.name}",
+            hint=f"adamanip check {self.root}",
         )
 
     def columns(self, episode: Episode) -> dict[str, NDArray[Any]]:
@@ -338,7 +338,7 @@ class Dataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {index} of {self.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint=f"another episode; what is damaged: adamanip check {self.root.name}",
+                hint=f"another episode; what is damaged: adamanip check {self.root}",
             ) from error
 
     def column_table(self, names: Iterable[str]) -> pa.Table:

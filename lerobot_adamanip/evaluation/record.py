@@ -363,11 +363,12 @@ def mixed_settings(records: Iterable[EpisodeRecord]) -> dict[str, tuple[str, ...
 def split_evaluations(records: Iterable[EpisodeRecord], *, pool: bool = False) -> list[list[EpisodeRecord]]:
     """Returns the records of each `EpisodeRecord.evaluation` in a log, in order of appearance.
 
-    Scene splits stay separate, even if ``pool`` merges all evaluations.
+    Labels and scene splits stay separate, even if ``pool`` merges evaluations.
     """
     evaluations: dict[tuple[object, ...], list[EpisodeRecord]] = {}
     for record in records:
-        evaluations.setdefault((None if pool else record.evaluation, record.split), []).append(record)
+        evaluation = record.provenance.run_label if pool else record.evaluation
+        evaluations.setdefault((evaluation, record.split), []).append(record)
     return list(evaluations.values())
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
@@ -58,6 +59,8 @@ def translate_hub_errors(repo_id: str, endpoint: str) -> Iterator[None]:
         cause: BaseException = error
         while cause.__cause__ and not isinstance(cause, httpx.HTTPError | ConnectionError):  # threads wrap errors
             cause = cause.__cause__
+        if isinstance(cause, OSError) and (cause.filename or cause.errno in (errno.ENOSPC, errno.EDQUOT)):
+            raise  # a local file or disk
         got = f"{repo_id} at {endpoint}: {type(cause).__name__} {' '.join(str(cause).split())}"[:400]
         if isinstance(cause, HfHubHTTPError):
             what, hint = _REFUSALS.get(cause.response.status_code, ("The Hub refused.", RETRY))

@@ -40,9 +40,10 @@ def _table(result: ResultFile) -> str:
         for row in result.rows
     )
     seeds = f"seeds {result.seeds[0]} to {result.seeds[1]}"
+    commit = f"commit {result.commit or 'unknown'}{' with changes' * result.changed}"
     return (
         f"{result.title} ({scenes}, {seeds}):\n\n{markdown_table(titles, rows)}\n\n"
-        f"Command: `{result.command}`; commit {result.commit or 'of a released version'}; version {result.version}; "
+        f"Command: `{result.command}`; {commit}; version {result.version}; "
         f"simulation version {result.simulation_version}. Options are spelled as there, and later code may give other "
         "numbers."
     )
@@ -81,6 +82,7 @@ def _eval_result(result: ResultFile, row: ResultRow) -> EvalResult:
             **success_summary(row.metrics.success),
             "command": result.command,
             "commit": result.commit,
+            "changed": result.changed,
         },
         dataset_revision=f"simulation-version-{result.simulation_version}",
         metric_type="success_rate",

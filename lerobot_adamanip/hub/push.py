@@ -61,6 +61,8 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
     with translate_hub_errors(staged.repo_id, str(api.endpoint)):
         url = api.create_repo(staged.repo_id, repo_type=staged.kind, private=private or None, exist_ok=True)
         before = _head(api, staged, private)
+        if release and (known := _tag_commit(api, staged, release)) not in (None, before):
+            raise _release_stays(release, f"{release} is at {known}, the newest commit is {before}")
         api.upload_folder(
             repo_id=staged.repo_id,
             repo_type=staged.kind,
@@ -68,11 +70,11 @@ def push(staged: Staged, api: HfApi | None = None, *, private: bool = False, rel
             commit_message=f"adamanip push {staged.kind}",
             delete_patterns=[f"{folder}*" for folder in staged.replaced] or None,
         )
+        staged.require_unchanged()  # before a tag names what was not scanned
         commit = _head(api, staged, private)
-        tags = tuple(tag for tag in (staged.version_tag, release) if tag)
+        tags = tuple(tag for tag in (release, staged.version_tag) if tag)
         for tag in tags:
             _set_tag(api, staged, tag, commit, movable=tag == staged.version_tag)
-    staged.require_unchanged()
     sizes = [path.stat().st_size for path in staged.files().values()]
     return PushResult(staged.repo_id, staged.kind, str(url), commit, commit != before, len(sizes), sum(sizes), tags)
 
@@ -101,12 +103,12 @@ def _set_tag(api: HfApi, staged: Staged, tag: str, commit: str, *, movable: bool
     if known == commit:
         return
     if known is not None and not movable:
-        raise HubError(
-            "This release tag is at another commit; releases are not moved.",
-            got=f"{tag} is at {known}, the published files are at {commit}",
-            allowed="a new tag",
-            hint="another --release; the uploaded files stay on the Hub, untagged",
-        )
+        raise _release_stays(tag, f"{tag} is at {known}, the published files are at {commit} of main, untagged")
     if known is not None:
         api.delete_tag(staged.repo_id, tag=tag, repo_type=staged.kind)
     api.create_tag(staged.repo_id, tag=tag, revision=commit, repo_type=staged.kind)
+
+
+def _release_stays(tag: str, got: str) -> HubError:
+    what = "This release tag is at another commit; releases are not moved."
+    return HubError(what, got=got, allowed="a new tag", hint=f"another --release than {tag}")

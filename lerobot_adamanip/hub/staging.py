@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import re
+import shutil
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -26,6 +27,7 @@ from lerobot_adamanip.hub.scan import Names, require_clean
 from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError, listed
 
+_LARGE = (".parquet", ".mp4", ".safetensors")
 _DATASET = ("meta/", "data/", "videos/")
 _MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
 """Name prefixes of a checkpoint's weights, pipelines and pipeline states."""
@@ -93,7 +95,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             "This dataset is damaged.",
             got=f"{root.name}: {result.total(fails=True)} findings, the first: {failures[0]}",
             allowed="a dataset in which `adamanip check` finds nothing",
-            hint=f"adamanip check {root.name}; adamanip check {root.name} --repair repairs damage from a crash",
+            hint=f"adamanip check {root}; adamanip check {root} --repair repairs damage from a crash",
         )
     _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
     card = dataset_card(root, name, repo_id, assets)
@@ -170,10 +172,14 @@ def _file_names(root: Path) -> Iterator[str]:
 
 
 def _link(source: Path, names: Iterable[str], into: Path) -> None:
+    """Links large files, and copies the others, which so cannot change after the scan."""
     for name in names:
         target = into / name
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.symlink_to((source / name).resolve())
+        if target.suffix in _LARGE:
+            target.symlink_to((source / name).resolve())
+        else:
+            shutil.copyfile(source / name, target)
 
 
 def _check_checkpoint(folder: Path) -> list[str]:

@@ -48,7 +48,7 @@ def apply() -> None:
         try:
             _apply(name)
             _on.add(name)
-        except (UnsupportedError, ImportError) as error:
+        except (UnsupportedError, ImportError, AttributeError, KeyError) as error:
             support.restore(before)
             warn_once(f"The patch {name} does not fit this LeRobot ({error}) and is off. {loss}")
 

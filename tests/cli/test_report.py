@@ -104,6 +104,20 @@ def test_fewer_episodes_than_asked_are_warned_of_and_a_log_counts_once(
     assert "given twice" in capsys.readouterr().err
 
 
+def test_a_report_replaces_no_log_and_no_evaluation(
+    logs: tuple[str, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "log.json"
+    path.write_bytes(Path(logs[0]).read_bytes())
+    assert cli.main(["report", str(path), "--out", str(path), "--command", "lerobot-eval"]) == 2
+    assert "This would replace an episode log." in capsys.readouterr().err
+    assert path.read_bytes() == Path(logs[0]).read_bytes()
+    text = path.read_text()
+    path.write_text(text + text.replace('"run_id": "run"', '"run_id": "later"'))
+    assert cli.main(["report", str(path), logs[1], "--label", "a", "a #1"]) == 2
+    assert "Two evaluations have one name." in capsys.readouterr().err
+
+
 def test_tables_show_the_same_numbers(logs: tuple[str, str], capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["report", *logs, "--label", "with history", "[bold]static"]) == 0
     printed = capsys.readouterr().out
@@ -122,6 +136,9 @@ def test_a_log_of_two_evaluations_gives_two_columns_and_one_if_asked(
     columns = report(capsys, str(path))["evaluations"]
     counts = [(each["label"], by_name(each["groups"])["all"]["success"]["count"]) for each in columns]
     assert counts == [("log #1", 15), ("log #2 act", 19)]
+    columns = report(capsys, str(path), "--pool")["evaluations"]  # of two labels, of two policies
+    assert [(each["label"], each["episodes"]) for each in columns] == [("log #1", 20), ("log #2 act", 20)]
+    path.write_text(path.read_text().replace('"run_label": "act"', '"run_label": null'))
     (column,) = report(capsys, str(path), "--pool")["evaluations"]
     assert (column["episodes"], column["repeats"]) == (20, 20)
     assert cli.main(["report", str(path), "--pool"]) == 0

@@ -64,6 +64,8 @@ def test_it_prints_one_json_object_with_the_figures(tmp_path: Path, capfd: pytes
 @pytest.mark.usefixtures("fake")
 def test_poses_are_left_unscaled_on_request_and_the_rows_stay(tmp_path: Path) -> None:
     roots = [tmp_path / "measured", tmp_path / "unscaled"]
+    (tmp_path / "unscaled-failed").mkdir()  # of something else: without --keep-failed it is left alone
+    (tmp_path / "unscaled-failed" / "note.txt").write_text("mine")
     for root, words in zip(roots, ([], ["--unscaled-poses"]), strict=True):
         assert main(["collect", str(root), *SMALL, *words]) == 0
     statistics = [json.loads((root / "meta" / "stats.json").read_text())["action"] for root in roots]

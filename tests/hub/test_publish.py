@@ -81,6 +81,17 @@ def test_a_policy_without_a_result_is_one_error(folder: Path, capsys: pytest.Cap
     assert "theirs-bottle-seen-1000.json" in printed
 
 
+def test_what_is_missing_is_known_before_anything_is_sent(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    sent: list[str] = []
+    monkeypatch.setattr(publish.PushCommand, "publish", lambda push: sent.append(push.repo_id))
+    options = ["--user", "someone", "--benchmark", str(folder), "--method", "ours", "--categories", "safe,bottle"]
+    assert publish.main(options) == 2
+    assert "ours-bottle-seen-1000.json" in capsys.readouterr().err
+    assert not sent
+
+
 def test_results_on_a_card_are_of_the_published_training(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, options = folder / "cells" / "ours-safe-unseen-1000.json", ["--user", "someone", "--benchmark", str(folder)]
     options += ["--categories", "safe", "--dry-run"]

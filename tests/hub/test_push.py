@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import re
 import shutil
 from collections.abc import Callable
@@ -46,6 +47,7 @@ def test_what_changed_after_it_was_scanned_is_not_published(
 
     hub.on_request = write
     assert "meta/cameras.json" in refuses(DatasetError, lambda: push(staged, api))  # it changed while it was sent
+    assert not hub.repositories["datasets", NAME].tags  # and no version names it
     hub.repositories.clear()
     assert "meta/cameras.json" in refuses(DatasetError, lambda: push(staged, api))
     assert not hub.repositories
@@ -173,11 +175,37 @@ def test_private_is_private_and_never_public_by_accident(
 
 def test_a_release_is_tagged_once_and_stays(staged: Staged, hub: LoopbackHub, api: HfApi, refuses: Refuses) -> None:
     first = push(staged, api, release="release-1")
-    assert first.tags == ("v3.0", "release-1")
+    assert first.tags == ("release-1", "v3.0")
     assert push(staged, api, release="release-1").commit == first.commit
     staged = changed(staged, "meta/tasks.parquet", b"more")
     assert "release-1" in refuses(HubError, lambda: push(staged, api, release="release-1"))
-    assert hub.repositories["datasets", NAME].tags["release-1"] == first.commit
+    tags = hub.repositories["datasets", NAME].tags
+    assert tags == {"release-1": first.commit, "v3.0": first.commit}  # no version moves to what was refused
+    second = push(staged, api, release="release-2")
+    changed(staged, "meta/tasks.parquet", b"even more")
+    sent = len(hub.files("datasets", NAME)["meta/tasks.parquet"])
+    assert "release-1" in refuses(HubError, lambda: push(staged.sealed(), api, release="release-1"))
+    assert len(hub.files("datasets", NAME)["meta/tasks.parquet"]) == sent  # a known tag is refused before the upload
+    assert tags["v3.0"] == second.commit
+
+
+def test_small_files_are_copied_before_they_are_scanned(published: Path, tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    shutil.copytree(published, source)
+    (tmp_path / "staged").mkdir()
+    staged = stage_dataset(source, NAME, tmp_path / "staged")
+    (source / "meta" / "info.json").write_text("{}")
+    staged.require_unchanged()
+
+
+def test_a_full_disk_is_no_fault_of_the_hub(staged: Staged, api: HfApi, hub: LoopbackHub) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    api.upload_folder = full  # type: ignore[method-assign]
+    with pytest.raises(OSError, match="No space left") as raised:
+        push(staged, api)
+    assert not isinstance(raised.value, HubError)
 
 
 @pytest.mark.parametrize("tag", ["1.0", "v3.1", "2026.11", "3", "main", "a b", ""])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import subprocess
@@ -159,6 +160,7 @@ UNFIT = [
     ("rollout_memory", (context, "build_rollout_context", lambda cfg: None)),  # makes no features
     ("episode_signals", (lerobot_record, "record_loop", lambda session: None)),
     ("episode_signals", (lerobot_record, "record", lambda cfg: None)),  # has no loop
+    ("episode_signals", (lerobot_record, "record", functools.partial(print))),  # has no code to read
 ]
 """Patch, and an attribute of LeRobot that another version has otherwise."""
 
