@@ -119,7 +119,7 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
         ids = tuple(object_id(category, number, novel=bool(match[1])) for number in numbers)
     else:
         ids = () if ":" in selection else tuple(name.strip() for name in selection.split(",") if name.strip())
-    if not ids or any(parse_object_id(name)[0] != category for name in ids):
+    if not ids or not all(_is_of(category, name) for name in ids):
         raise ConfigurationError(
             f"Wrong selection of objects for category {category!r}.",
             got=repr(selection),
@@ -128,6 +128,13 @@ def parse_object_selection(category: str, selection: str) -> tuple[str, ...]:
             hint="0:4",
         )
     return ids
+
+
+def _is_of(category: str, name: str) -> bool:
+    try:
+        return parse_object_id(name)[0] == category
+    except ConfigurationError:
+        return False
 
 
 def select_objects(

@@ -169,6 +169,10 @@ class _Assembly:
             for shape in link.shapes
             if shape.visible and shape.vertices is not None
         ]
+        if not points:
+            raise broken(
+                self.urdf.path, "has nothing to be seen.", "no visible shape", "a visual mesh that can be read"
+            )
         every = np.concatenate(points)
         return every.min(axis=0), every.max(axis=0)
 

@@ -137,13 +137,11 @@ def _position(urdf: Urdf, joint: UrdfJoint, positions: Mapping[str, float], hops
 def groups(urdf: Urdf, joints: Mapping[str, JointChoice]) -> dict[str, str]:
     """Returns link -> link that it is rigidly attached to: the root, or the child of a joint with a role."""
     roles = {choice.joint for choice in joints.values()}
-    leaders: dict[str, str] = {}
 
     def leader(link: str) -> str:
-        if link not in leaders:
-            above = urdf.joint_above(link)
-            leaders[link] = link if above is None or above.name in roles else leader(above.parent)
-        return leaders[link]
+        while (above := urdf.joint_above(link)) is not None and above.name not in roles:
+            link = above.parent
+        return link
 
     return {link: leader(link) for link in urdf.links}
 

@@ -9,6 +9,7 @@ import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -177,9 +178,11 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
     path = convex_cache_folder() / f"{digest}.npz"
     try:
         with np.load(path, allow_pickle=False) as stored:
-            return [np.asarray(stored[key]) for key in stored.files]
-    except (OSError, ValueError):
-        pass
+            parts = [np.asarray(stored[key], np.float64) for key in stored.files]
+        if all(part.ndim == 2 and part.shape[1] == 3 and len(part) >= 4 for part in parts):
+            return parts
+    except (OSError, ValueError, EOFError, BadZipFile):
+        pass  # absent or damaged: cut again
     try:
         import coacd
     except ModuleNotFoundError:
@@ -190,11 +193,11 @@ def _decomposed(mesh: Any) -> list[NDArray[np.float64]]:
     try:
         coacd.set_log_level("error")
         logger.info("cutting a part that is not convex into convex ones (once; kept in %s)", path.parent)
-        parts = coacd.run_coacd(coacd.Mesh(vertices, faces), **COACD_OPTIONS)
+        cut = coacd.run_coacd(coacd.Mesh(vertices, faces), **COACD_OPTIONS)
     except Exception as error:
         logger.warning("CoACD failed (%s): a part that is not convex collides as its hull", error)
         return []
-    hulls = [np.asarray(part[0], np.float64) for part in parts]
+    hulls = [np.asarray(part[0], np.float64) for part in cut]
     content = io.BytesIO()
     np.savez(cast(Any, content), *hulls)
     try:

@@ -216,19 +216,20 @@ def _joint(path: Path, element: Any) -> UrdfJoint:
 def _checked_root(path: Path, links: list[UrdfLink], joints: tuple[UrdfJoint, ...]) -> str:
     """Returns the name of the root; raises an error unless the links form one tree."""
     names = [link.name for link in links]
+    known = set(names)
+    if not 0 < len(names) <= MAX_LINKS or len(known) != len(names):
+        raise broken(path, "link names are not unique, or none or too many.", len(names), f"1 to {MAX_LINKS} names")
     parents = {joint.child: joint.parent for joint in joints}
     roots = [name for name in names if name not in parents]
     reached = set(roots)
     while grown := {child for child, parent in parents.items() if parent in reached} - reached:
         reached |= grown
-    ends = [f"{joint.parent!r} -> {joint.child!r}" for joint in joints if not {joint.parent, joint.child} <= set(names)]
-    if not 0 < len(names) <= MAX_LINKS or len(set(names)) != len(names):
-        raise broken(path, "link names are not unique, or none or too many.", len(names), f"1 to {MAX_LINKS} names")
+    ends = [f"{joint.parent!r} -> {joint.child!r}" for joint in joints if not {joint.parent, joint.child} <= known]
     if len({joint.name for joint in joints}) != len(joints):
         raise broken(path, "joint names are not unique.", [joint.name for joint in joints], "a name for each")
     if ends:
         raise broken(path, "a joint names a link that does not exist.", ends[0], ", ".join(names[:20]))
-    if len(roots) != 1 or len(parents) != len(joints) or reached != set(names):
+    if len(roots) != 1 or len(parents) != len(joints) or reached != known:
         got = f"roots {roots}, {len(joints)} joints"
         raise broken(path, "the links are not one tree.", got, "one root, and one joint above every other link")
     return roots[0]

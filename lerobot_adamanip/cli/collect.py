@@ -138,7 +138,8 @@ class CollectCommand:
     of upstream's code. to_stop: at a felt stop, with the fewest failed tries."""
 
     trials: int = 1
-    """Failed tries that the adaptive expert demonstrates before it changes its strategy."""
+    """Failed pulls at a part that is held (at a lamp: tries of a motion) before the adaptive expert does something
+    else."""
 
     late_starts: float = DEFAULT_LATE_STARTS
     """Share of episodes that start mid-task, after some key frames and a lost grip. 0 for none."""

@@ -37,7 +37,8 @@ class ExpertCommand:
     """When the adaptive expert tries to open, see `adamanip collect`. to_stop: with the fewest failed tries."""
 
     trials: int = 1
-    """Failed tries before the adaptive expert changes its strategy."""
+    """Failed pulls at a part that is held (at a lamp: tries of a motion) before the adaptive expert does something
+    else."""
 
     objects: str = "seen"
     """Objects: seen, unseen, novel, FIRST:END, nFIRST:nEND, or ids separated by commas."""

@@ -93,7 +93,7 @@ class ObjectsCommand:
             return [make_object(name) for name in ids], []
         source = checked_source(self.assets)
         if self.category == ALL and self.assets.is_dir():
-            categories = tuple(filter(source.holds, categories))
+            categories = tuple(filter(source.holds, categories)) or categories  # of none: an error says what is missing
         reports = [report for category in categories for report in source.check(category)]
         usable = [source.load(report.asset_id, solid=False) for report in reports if report.usable]
         return usable, [report for report in reports if not report.usable]

@@ -95,7 +95,8 @@ def make_expert(
         kind: ``adaptive`` (observation and history only) or ``static`` (with sight of the hidden state).
         annotations: part poses in the robot's base frame, joints at zero.
         generator: random numbers of the expert's choices.
-        trials: failed tries of a motion before the adaptive expert chooses another, at least 1.
+        trials: failed pulls at a part that is held (at a lamp: tries of a motion) before the adaptive expert does
+            something else, at least 1.
         hidden: the hidden state; the static expert needs it, the adaptive one refuses it.
         strategy: ``paper``, or a key of `Expert.others`; ``paper`` if the category lacks it. For the adaptive expert.
         mechanism_rules: rules of the environment; some have experts of their own, see `COMPOSED_EXPERTS`. An adaptive
@@ -111,6 +112,7 @@ def make_expert(
     expert = COMPOSED_EXPERTS.get(require_rules(category, mechanism_rules), EXPERTS)[category]
     hand = Hand(generator, trials, dict(positions or {}), belief=belief or Belief())
     _check_knowledge(require_choice("expert", kind, EXPERT_KINDS), trials, hidden)
+    require_choice("expert strategy", strategy, EXPERT_STRATEGIES)
     if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
     known = Knowledge(annotations, fixed_direction(category, mechanism_rules))
@@ -118,7 +120,7 @@ def make_expert(
 
 
 def _adaptive(expert: Expert, strategy: str) -> Callable[[Hand, Knowledge], KeyFrames]:
-    other = expert.others.get(require_choice("expert strategy", strategy, EXPERT_STRATEGIES))
+    other = expert.others.get(strategy)
     return other.adaptive if other else expert.adaptive
 
 

@@ -244,6 +244,13 @@ def fixed_direction(category: str, rules: str = DEFAULT_MECHANISM_RULES) -> int 
 def make_mechanism(obj: ArticulatedObject, rules: str = DEFAULT_MECHANISM_RULES) -> Mechanism[Any]:
     """Returns an object's mechanism, by its category; raises `ConfigurationError` for ``rules`` that it lacks."""
     if require_rules(obj.category, rules) in COMPOSED:
+        if rules == "changing" and obj.category == "microwave" and not obj.joint("button").stiffness:
+            raise ConfigurationError(
+                "A button without a spring cannot be pushed again after the lock has shut.",
+                got=obj.object_id,
+                allowed="generated microwaves, or other rules than changing",
+                hint="--env.mechanism_rules=paper",
+            )
         return COMPOSED[rules][obj.category](obj)
     direction = fixed_direction(obj.category, rules)
     p_positive = 0.5 if direction is None else float(direction > 0)

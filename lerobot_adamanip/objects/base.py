@@ -194,7 +194,7 @@ class ArticulatedObject:
         category: ``safe``.
         links: root first, parents before children.
         parts: annotations in the object frame, with joints at zero.
-        size: (width, depth, height) of the bounding box [m].
+        size: (width, depth, height) [m] of the body without handles; of external assets, of the bounding box.
         description: sampled parameters, for labels and cards.
         weightless: whether its links ignore gravity, as upstream; true for external assets, which have no springs.
     """

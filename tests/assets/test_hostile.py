@@ -11,9 +11,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from asset_folders import adamanip_bottle, adamanip_safe, annotated, joint, partnet_safe, safe_annotation
+from asset_folders import (
+    adamanip_bottle,
+    adamanip_safe,
+    annotated,
+    joint,
+    link,
+    partnet_safe,
+    safe_annotation,
+    write_urdf,
+)
 
 from lerobot_adamanip.assets import AssetSource, load_object
+from lerobot_adamanip.assets.annotation.session import Draft
+from lerobot_adamanip.assets.kinematics import groups
+from lerobot_adamanip.assets.urdf import read_urdf
 from lerobot_adamanip.util.errors import ConfigurationError
 
 LAUGHS = """<?xml version="1.0"?><!DOCTYPE lolz [<!ENTITY a "ha"><!ENTITY b "&a;&a;&a;&a;&a;&a;">]><robot>&b;</robot>"""
@@ -53,6 +65,21 @@ def refused(folder: Path, match: str, category: str = "safe") -> None:
 def test_a_broken_urdf(tmp_path: Path, text: str, match: str) -> None:
     (tmp_path / "mobility.urdf").write_text(text)
     refused(tmp_path, match)
+
+
+def test_a_long_chain_of_links_is_no_deep_recursion(tmp_path: Path) -> None:
+    names = [f"l{number}" for number in range(990)]
+    chain = [joint(f"f{number}", "fixed", *names[number : number + 2]) for number in range(len(names) - 1)]
+    urdf = read_urdf(write_urdf(tmp_path, *map(link, reversed(names)), *chain))
+    assert set(groups(urdf, {}).values()) == {"l0"}
+
+
+def test_an_object_without_meshes_is_one_error(tmp_path: Path) -> None:
+    folder = annotated(tmp_path / "x1")
+    for mesh in folder.rglob("*.obj"):
+        mesh.unlink()
+    with pytest.raises(ConfigurationError, match="nothing to be seen"):
+        Draft(folder, "safe").object()
 
 
 def test_no_urdf_and_no_directory(tmp_path: Path) -> None:

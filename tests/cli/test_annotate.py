@@ -12,13 +12,14 @@ import numpy as np
 import pytest
 
 from lerobot_adamanip.assets import load_object
+from lerobot_adamanip.assets.annotation.file import ANNOTATION_NAME
 from lerobot_adamanip.assets.annotation.session import DRAFT_NAME, Draft
 from lerobot_adamanip.assets.roles import ROLES
 from lerobot_adamanip.contract.rotations import rotation_about, transform
 from lerobot_adamanip.util.errors import ConfigurationError
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "objects"))
-from asset_folders import adamanip_bottle, adamanip_safe, partnet_safe
+from asset_folders import adamanip_bottle, adamanip_safe, annotated, partnet_safe, safe_annotation
 
 DOOR, KNOB = ROLES["safe"].joints
 
@@ -64,6 +65,42 @@ def test_a_joint_that_would_not_move_is_refused_and_locks_no_draft(tmp_path: Pat
     Draft(folder, "safe")
 
 
+@pytest.mark.parametrize(
+    "changes",
+    [
+        None,
+        {"version": 2},
+        {"category": "door"},
+        {"parts": {}},
+        {
+            "joints": {
+                "door": {"joint": "joint_0", "rest": 0, "open": 1},
+                "knob": {"joint": "joint_0", "rest": 0, "open": 1},
+            }
+        },
+        {
+            "joints": {
+                "door": {"joint": "gone", "rest": 0, "open": 1},
+                "knob": {"joint": "joint_2", "rest": 0, "open": 1},
+            }
+        },
+        {"parts": {name: {**part, "link": "gone"} for name, part in safe_annotation()["parts"].items()}},
+    ],
+)
+def test_a_damaged_annotation_is_proposed_anew_and_replaced_by_saving(
+    tmp_path: Path, changes: dict[str, Any] | None
+) -> None:
+    folder = annotated(tmp_path / "x1", **(changes or {}))
+    if changes is None:
+        (folder / ANNOTATION_NAME).write_text("{ half of")
+    damaged = (folder / ANNOTATION_NAME).read_bytes()
+    draft = Draft(folder, "safe")
+    assert draft.origin == f"proposed from bounding boxes; {ANNOTATION_NAME} does not fit, and saving replaces it"
+    assert (folder / ANNOTATION_NAME).read_bytes() == damaged
+    draft.save()
+    assert Draft(folder, "safe").origin == "saved annotation"
+
+
 def test_work_is_never_lost(tmp_path: Path) -> None:
     folder = partnet_safe(tmp_path / "101564")
     draft = Draft(folder, "safe")
@@ -95,14 +132,6 @@ def test_what_cannot_be_used_is_kept_but_not_saved(tmp_path: Path) -> None:
         draft.save()
     assert not (folder / "adamanip.json").exists()
     assert (folder / DRAFT_NAME).exists()
-
-
-def test_a_broken_annotation_is_not_overwritten(tmp_path: Path) -> None:
-    folder = partnet_safe(tmp_path / "101564")
-    (folder / "adamanip.json").write_text("{ half of")
-    with pytest.raises(ConfigurationError, match="cannot be read"):
-        Draft(folder, "safe")
-    assert (folder / "adamanip.json").read_text() == "{ half of"
 
 
 def test_a_larger_scale_takes_the_grasps_along(tmp_path: Path) -> None:

@@ -104,6 +104,7 @@ WRONG = (
     ("push model nowhere --repo-id a/b --dataset local/safes", "local/safes"),
     ("objects --category dor", "did you mean door?"),
     ("objects --objects 4:4", "Wrong selection"),
+    ("objects --category lamp --objects unsen", "Wrong selection"),
     ("objects --objects 0:99999999999", "numbers below 10^6"),
     ("objects --size 5", "cannot be drawn"),
     ("objects --assets nowhere", "does not exist"),

@@ -16,7 +16,7 @@ from lerobot_adamanip.assets.annotation.file import (
     save_annotation,
 )
 from lerobot_adamanip.assets.annotation.proposal import propose, propose_part
-from lerobot_adamanip.assets.convert import assemble_object
+from lerobot_adamanip.assets.convert import assemble_object, check_joint_roles
 from lerobot_adamanip.assets.kinematics import Posed, object_frame, posed
 from lerobot_adamanip.assets.roles import JointRole, PartRole
 from lerobot_adamanip.assets.upstream import default_choice, upstream_annotation
@@ -42,7 +42,7 @@ class Draft:
         """Reads the folder.
 
         Raises:
-            ConfigurationError: the URDF, a mesh or the existing annotation is unreadable. No file is overwritten.
+            ConfigurationError: the URDF or a mesh is unreadable. No file is overwritten.
         """
         self.folder, self.category, self.path = folder, category, folder / ANNOTATION_NAME
         self.urdf: Urdf = read_urdf(folder / URDF_NAME)
@@ -51,13 +51,21 @@ class Draft:
         self._place()
 
     def _best_there_is(self) -> tuple[Annotation, str]:
+        note = ""
         for name, origin in ((DRAFT_NAME, "changes that were not saved"), (ANNOTATION_NAME, "saved annotation")):
             if (self.folder / name).is_file():
-                return read_annotation(self.folder / name, self.category), origin
+                try:
+                    annotation = read_annotation(self.folder / name, self.category)
+                    check_joint_roles(self.urdf, annotation)
+                    if all(part.link in self.urdf.links for part in annotation.parts.values()):
+                        return annotation, origin
+                except ConfigurationError:
+                    pass
+                note += f"; {name} does not fit, and saving replaces it"
         try:
-            return upstream_annotation(self.urdf, self.category), "AdaManip's annotated points"
+            return upstream_annotation(self.urdf, self.category), f"AdaManip's annotated points{note}"
         except ConfigurationError:
-            return propose(self.urdf, self.category), "proposed from bounding boxes"
+            return propose(self.urdf, self.category), f"proposed from bounding boxes{note}"
 
     def _place(self) -> None:
         """Computes the link poses, and converts grasps from link frames to the object frame."""

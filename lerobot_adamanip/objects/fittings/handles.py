@@ -2,7 +2,7 @@
 
 A handle is built hanging down from its pivot, then rotated about x to its rest position. Frame: origin at the pivot on
 the leaf's face, x out of the leaf, z up. Sizes follow door and window hardware. Levers stand 55 to 65 mm off the leaf
-and are 110 to 140 mm long; knobs measure 45 to 56 mm.
+and are 96 to 124 mm long; knobs measure 45 to 56 mm.
 """
 
 from __future__ import annotations
