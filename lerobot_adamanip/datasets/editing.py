@@ -267,6 +267,8 @@ def merge_into(
 ) -> Merged:
     """Merges like `merge`, into a new folder that belongs to the caller."""
     sources = [Dataset(root, recordings=True) for root in roots]
+    for source in sources:
+        _ = source.episodes  # checks their texts, before anything is written
     _require_equal_features(sources)
     one_workspace(sources)
     _require_each_once(sources)

@@ -348,10 +348,10 @@ def test_costs_of_shared_steps_are_counted_once(cells: Path) -> None:
     assert machine_text({"cores": 1, "gpu": True}) == "1 core, a GPU"
 
 
-def test_titles_of_methods_are_no_markup_in_pictures(
-    cells: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    report, drawn = report_of(cells), list[list[str]]()
+@pytest.fixture
+def legends(monkeypatch: pytest.MonkeyPatch) -> list[list[str]]:
+    """The legend of each picture that is saved."""
+    drawn = list[list[str]]()
 
     def save(figure: Figure, path: Path, **options: Any) -> None:
         original(figure, path, **options)
@@ -359,9 +359,14 @@ def test_titles_of_methods_are_no_markup_in_pictures(
 
     original = Figure.savefig
     monkeypatch.setattr(Figure, "savefig", save)
+    return drawn
+
+
+def test_titles_of_methods_are_no_markup_in_pictures(cells: Path, tmp_path: Path, legends: list[list[str]]) -> None:
+    report = report_of(cells)
     titles = {name: rf"_{name}, lr $\eta$=1, $\5$" for name in report.titles}
     plot_report(dataclasses.replace(report, titles=titles), tmp_path / "new")
-    assert drawn == [[titles[name] for name in report.methods]] * 2
+    assert legends == [[titles[name] for name in report.methods]] * 2
 
 
 def test_pictures_are_drawn_also_where_a_number_is_missing(cells: Path, tmp_path: Path) -> None:
@@ -375,7 +380,7 @@ def test_pictures_are_drawn_also_where_a_number_is_missing(cells: Path, tmp_path
         assert len(colors) > 20
 
 
-def test_each_of_many_methods_is_drawn(cells: Path, tmp_path: Path) -> None:
+def test_each_of_many_methods_is_drawn(cells: Path, tmp_path: Path, legends: list[list[str]]) -> None:
     report = report_of(cells)
     names = [f"method_{number}" for number in range(25)]
     entries = {(name, "safe", "seen"): report.entries["ours", "safe", "seen"] for name in names}
@@ -383,6 +388,7 @@ def test_each_of_many_methods_is_drawn(cells: Path, tmp_path: Path) -> None:
         report, titles=dict(zip(names, names, strict=True)), paper=dict.fromkeys(names, ""), entries=entries
     )
     assert plot_report(many, tmp_path)[0].name == "success.png"
+    assert legends[0] == names
 
 
 # Files ------------------------------------------------------------------------------------------------------------

@@ -54,6 +54,8 @@ WRONG = (
     (f"{COLLECT} --trials 99", "--trials 1"),
     (f"{COLLECT} --late-starts 2", "0 ... 1"),
     (f"{COLLECT} --workers 0", "--workers 2"),
+    (f"{COLLECT} --worker-timeout 0", "a timeout above 0"),
+    (f"{COLLECT} --pose fixed", "--poses"),
     (f"{COLLECT} --num-points 0", "0"),
     (f"{COLLECT} --image-size 1", "16 ... 2048"),
     (f"{COLLECT} --part 3/2", "3/2"),

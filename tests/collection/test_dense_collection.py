@@ -137,16 +137,14 @@ def test_pictures_added_later_are_those_of_a_collection_with_pictures(whole: Pat
             np.testing.assert_array_equal(one[key], other[key])
 
 
-def test_a_policy_is_corrected_at_control_rate_too() -> None:
-    assert dense_spec(policy="a" * 32, expert_share=0.3).environment.is_dense
+FRONT: dict[str, Any] = {"cameras": ("front",), "image_source": "render"}
 
 
 @pytest.mark.parametrize(
-    "changes",
-    [{}, {"action": "joint", "fps": 25}, FULL, {"cameras": ("front",), "image_source": "render"}],
-    ids=["defaults", "joint", "full", "cameras"],
+    ("control", "changes"),
+    [("dense", {}), ("dense", {"action": "joint", "fps": 25}), ("dense", FULL), ("dense", FRONT), ("keyframe", FRONT)],
+    ids=["defaults", "joint", "full", "cameras", "key frames"],
 )
-@pytest.mark.parametrize("control", ["dense", "keyframe"])
 def test_a_command_parses_back(control: str, changes: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     from lerobot_env_adamanip.sim import render_device
 

@@ -92,6 +92,10 @@ def test_so_does_a_collection_without_pictures(tmp_path: Path, monkeypatch: pyte
     images = {"observe_images": False}
     one = collected(tmp_path / "one", spec=images)
     assert not (one / "videos").exists()
+    with monkeypatch.context() as patch:
+        patch.setattr(assembling, "MIN_EPISODES_PER_WORKER", 1)
+        patch.setattr(jobs, "WorkerPool", Preparing)
+        same_bytes(one, collected(tmp_path / "two", spec=images, workers=2))
     monkeypatch.setattr(assembling, "can_append", lambda _: False)
     same_but_for_a_cache_name(one, collected(tmp_path / "stock", spec=images))
 

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from demos_helpers import another
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
@@ -110,13 +111,13 @@ HOSTILE: dict[str, Callable[[Path], None]] = {
 }
 
 
-def work_on(root: Path, folder: Path) -> list[Callable[[], object]]:
+def work_on(root: Path, folder: Path, sound: Path) -> list[Callable[[], object]]:
     out = folder / "out"
     (folder / "staged").mkdir(exist_ok=True)
     return [
         lambda: filter_episodes(root, ["episode_index=1"], out),
         lambda: split_episodes(root, out, {"a": 0.5, "b": 0.5}),
-        lambda: merge([root, root], out),
+        lambda: merge([root, sound], out),
         lambda: stage_dataset(root, "someone/it", folder / "staged"),
     ]
 
@@ -124,12 +125,13 @@ def work_on(root: Path, folder: Path) -> list[Callable[[], object]]:
 @pytest.mark.parametrize("name", HOSTILE)
 def test_a_hostile_dataset_is_refused_named_and_writes_nothing(published: Path, tmp_path: Path, name: str) -> None:
     root = Path(shutil.copytree(published, tmp_path / "evil"))
+    sound = another(published, tmp_path / "sound")
     HOSTILE[name](root)
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
     found = check(root)
     assert "untrusted" in found.counts
     assert not any(character in str(each) for each in found.findings for character in "\x1b\x07")
-    for work in work_on(root, tmp_path):
+    for work in work_on(root, tmp_path, sound):
         with pytest.raises(DatasetError) as error:
             work()
         assert "\x1b" not in str(error.value)
@@ -141,7 +143,7 @@ def test_a_hostile_dataset_is_refused_named_and_writes_nothing(published: Path, 
 def test_a_card_shows_no_command_that_is_not_ours(published: Path, tmp_path: Path, command: str) -> None:
     root = Path(shutil.copytree(published, tmp_path / "evil"))
     selection_made_with(command)(root)
-    for work in (lambda: filter_episodes(root, [], tmp_path / "out"), *work_on(root, tmp_path)[3:]):
+    for work in (lambda: filter_episodes(root, [], tmp_path / "out"), *work_on(root, tmp_path, root)[3:]):
         with pytest.raises(DatasetError, match="which episodes"):
             work()
     assert not (tmp_path / "out").exists()

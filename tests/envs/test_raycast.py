@@ -88,7 +88,7 @@ def test_no_ray_is_cast_that_cannot_end_in_the_workspace() -> None:
     assert len(RayScene(CAMERA, Workspace((5.0, 5.0, 2.5), (6.0, 6.0, 3.0))).pixels) == 0
 
 
-def test_a_link_around_the_camera_is_cast_at_by_every_ray() -> None:
+def test_a_link_around_the_camera_is_seen_from_inside() -> None:
     room = LinkMesh(box_triangles((0.9, 0.9, 2.5)))
     assert np.isfinite(depth_image(RayScene(CAMERA, WORKSPACE), (room, np.eye(4)))).any()
 

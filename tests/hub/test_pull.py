@@ -13,6 +13,7 @@ from huggingface_hub import HfApi
 from loopback_hub import LoopbackHub
 from sound_demos import collect_sound
 
+from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.hub.push import push
 from lerobot_adamanip.hub.staging import Staged, stage_dataset, stage_environment, stage_model
 
@@ -130,9 +131,12 @@ def check_bytes(found: dict[str, Any], commit: str, staged: Staged) -> None:
 def test_code_of_the_hub_runs_with_consent_alone(run: Any, hub: LoopbackHub) -> None:
     before = hub.count("/resolve/")
     call = ("environment", {"name": ENVIRONMENT, "trust": False})
+    allowed = CALLS['make_env("USER/ENV", trust_remote_code=True)']
     (came,) = answers(run(str(HERE / "pull_program.py"), asked({}, call)))
     assert "Refusing to execute remote code" in came["error"]
     assert hub.count("/resolve/") == before
+    (came,) = answers(run(str(HERE / "pull_program.py"), asked({}, allowed)))
+    assert len(came["found"]) == len(CATEGORIES)
 
 
 @pytest.mark.usefixtures("environment_commit")

@@ -285,7 +285,7 @@ def test_the_best_strategy_needs_the_tries_of_the_table(rules: str, category: st
 
 
 @pytest.mark.parametrize("category", categories_with("row"))
-def test_a_row_takes_two_to_six_tries_and_springs_are_known(category: str) -> None:
+def test_a_row_costs_two_failed_tries_at_worst_and_springs_are_known(category: str) -> None:
     mechanism = mechanism_of("row", category)
     worst = best_tries(category, "row", mechanism.hidden_names)[1]
     is_sprung = make_object(object_id(category, 0)).joint(mechanism.key).stiffness > 0
