@@ -6,14 +6,15 @@ The adaptive expert sees part poses and what the arm felt, never what is hidden;
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 import numpy as np
+from lerobot.utils.io_utils import write_video
 
 from lerobot_adamanip.contract.categories import CATEGORIES
 from lerobot_adamanip.contract.schema import FPS
 from lerobot_adamanip.episode.rollout import KeyFrame, rollout
 from lerobot_adamanip.experts import make_expert
-from lerobot_adamanip.util.video import write_video
 from lerobot_env_adamanip.keyframe_env import KeyframeEnv
 
 
@@ -40,7 +41,9 @@ def main() -> None:
     expert = make_expert(options.category, "adaptive", env.annotations, generator=np.random.default_rng(options.seed))
     result = rollout(env, observation, expert, watch)
     env.close()
-    print(result.reason, "->", write_video(options.video, frames, FPS))
+    Path(options.video).parent.mkdir(parents=True, exist_ok=True)
+    write_video(options.video, frames, FPS)
+    print(result.reason, "->", options.video)
 
 
 if __name__ == "__main__":

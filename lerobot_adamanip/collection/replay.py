@@ -24,7 +24,6 @@ from lerobot_adamanip.datasets.opening import as_typed
 from lerobot_adamanip.datasets.shards import RecordedEpisode
 from lerobot_adamanip.episode.rollout import SimulatedEnvironment
 from lerobot_adamanip.util.errors import DatasetError
-from lerobot_adamanip.util.video import write_video
 
 Picture = NDArray[np.uint8]
 Columns = dict[str, NDArray[Any]]
@@ -98,6 +97,9 @@ def replay(
             rows = open_dataset(dataset.root, episodes=[episode], video_backend="pyav", return_uint8=True)
             recorded = [rows[at][schema.FRONT_IMAGE].numpy().transpose(1, 2, 0) for at in range(len(rows))]
             pictures = [np.concatenate(pair, axis=1) for pair in zip(recorded, pictures, strict=False)]
+        from lerobot.utils.io_utils import write_video
+
+        Path(video).parent.mkdir(parents=True, exist_ok=True)
         write_video(video, pictures, dataset.fps)
     return result
 

@@ -12,9 +12,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from lerobot.utils.io_utils import write_video
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.util.video import write_video
 
 DATA = "data/chunk-000/file-000.parquet"
 META = "meta/episodes/chunk-000/file-000.parquet"

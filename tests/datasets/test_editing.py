@@ -16,6 +16,7 @@ import pytest
 from demos_helpers import another
 from lerobot.datasets.dataset_writer import DatasetWriter
 from lerobot.datasets.video_utils import concatenate_video_files
+from lerobot.utils.io_utils import write_video
 
 from lerobot_adamanip.cli.main import main
 from lerobot_adamanip.contract import schema
@@ -27,7 +28,6 @@ from lerobot_adamanip.datasets.memory import add_memory
 from lerobot_adamanip.datasets.pose_statistics import leave_poses_unscaled
 from lerobot_adamanip.datasets.selection import read_selection, selection_path
 from lerobot_adamanip.util.errors import AdaManipError
-from lerobot_adamanip.util.video import write_video
 
 HALVES = {"one": 0.5, "other": 0.5}
 NUMBERED = ("episode_index", "index")
@@ -252,7 +252,7 @@ def test_packets_are_copied_and_encoded_anew_only_where_they_must(
     episode = source.episodes[2]
     first, length = episode.start, episode.length
     assert cutting._copied(file, tmp_path / "cut.mp4", (first, first + length), schema.FPS) == length
-    ramp = (np.full((64, 64, 3), 20 * number, np.uint8) for number in range(10))
+    ramp = [np.full((64, 64, 3), 20 * number, np.uint8) for number in range(10)]
     write_video(tmp_path / "one_key_frame.mp4", ramp, schema.FPS)
     assert cutting._copied(tmp_path / "one_key_frame.mp4", tmp_path / "other.mp4", (3, 7), schema.FPS) is None
     assert cutting._copied(file, tmp_path / "third.mp4", (first, first + length), schema.FPS, "av1") is None
