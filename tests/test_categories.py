@@ -31,12 +31,8 @@ def test_a_category_has_objects_rules_and_experts_that_fit_each_other(name: str)
     parts = {part.name: part for part in obj.parts}
     for preset in rules_of(name):
         mechanism = make_mechanism(obj, preset)
-        assert set(mechanism.joints) == {link.joint.name for link in obj.links if link.joint is not None}
-        assert set(mechanism.goals) <= set(mechanism.joints)
         carried = {motion.joint for part in obj.parts for motion in part.motions}
         assert set(mechanism.joints) == carried
-        for joint, goal in mechanism.goals.items():
-            assert 0 < goal < obj.joint(joint).limits[1]
     import numpy as np
 
     first = next(make_expert(name, "adaptive", parts, generator=np.random.default_rng(0)))

@@ -6,6 +6,7 @@ A step is done once its record says so. The record is written atomically after t
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -133,7 +134,10 @@ class BenchmarkFolder:
             note: StepCost | dict[str, int] = _NOTE("the note", json_fields.read(path))
         except ValueError as error:
             raise DatasetError(
-                "A step record is damaged.", got=f"{path}: {error}", allowed="what was written", hint=f"rm {path}"
+                "A step record is damaged.",
+                got=f"{path}: {error}",
+                allowed="what was written",
+                hint=f"rm {shlex.quote(str(path))}",
             ) from error
         return note
 

@@ -90,8 +90,10 @@ class ExpertCommand:
             allowed = f"0 or more, all seeds up to {MAX_SEED}"
             raise ConfigurationError("Not a first seed.", got=self.seed, allowed=allowed, hint="--seed 1000")
         if self.episode_log.exists():
+            from lerobot_adamanip.datasets.opening import as_typed
+
             raise ConfigurationError(
-                "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {self.episode_log}"
+                "The log exists.", got=self.episode_log, allowed="a new file", hint=f"rm {as_typed(self.episode_log)}"
             )
         same = ("category", "objects", "split", "poses", "mechanism_rules", "max_failed_tries", "repeats", "sensing")
         options = EnvironmentOptions(

@@ -19,7 +19,7 @@ from lerobot_adamanip.contract.memory import instruction_of
 from lerobot_adamanip.datasets.dataset import Dataset, Episode, open_dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection
 from lerobot_adamanip.datasets.episode import EpisodeDescription
-from lerobot_adamanip.datasets.opening import read_info
+from lerobot_adamanip.datasets.opening import as_typed, read_info
 from lerobot_adamanip.datasets.output_folder import CONVERTING, owned_output
 from lerobot_adamanip.datasets.pose_statistics import keep_unscaled_poses
 from lerobot_adamanip.datasets.repository_names import require_repo_id
@@ -54,7 +54,7 @@ def require_one_source(sources: Iterable[Path]) -> Path:
             "A simulated dataset at control rate is converted alone.",
             got=", ".join(map(str, (first, *others))),
             allowed="one such dataset, or recordings of a robot with datasets of key frames",
-            hint=f"adamanip keyframes {first} --out A; then adamanip merge A B --out BOTH",
+            hint=f"adamanip keyframes {as_typed(first)} --out A; then adamanip merge A B --out BOTH",
         )
     return first
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, encoder_like
-from lerobot_adamanip.datasets.opening import VIDEO_PATH, damaged, first_line
+from lerobot_adamanip.datasets.opening import VIDEO_PATH, as_typed, damaged, first_line
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.video import open_mp4
 
@@ -44,7 +44,7 @@ def cut_episode(root: Path, key: str, feature: Mapping[str, Any], row: Mapping[s
                 "A video does not fit its episode.",
                 got=f"episode {row['episode_index']}: {frames} frames from {span[0]} on in {path}",
                 allowed=f"{row['length']} frames, as many as rows",
-                hint=f"adamanip check {root}",
+                hint=f"adamanip check {as_typed(root)}",
             )
         return cut.read_bytes()
 

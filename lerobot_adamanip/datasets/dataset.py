@@ -43,6 +43,7 @@ from lerobot_adamanip.datasets.opening import (
     TASK,
     VIDEO_PATH,
     UntrustedValueError,
+    as_typed,
     check_episode_text,
     check_video,
     checked_info,
@@ -306,7 +307,7 @@ class Dataset:
             "Rows of a dataset cannot be read.",
             got=f"{self.root}, episode {episode.number}: {problem}",
             allowed="consecutive rows of each episode",
-            hint=f"adamanip check {self.root}",
+            hint=f"adamanip check {as_typed(self.root)}",
         )
 
     def columns(self, episode: Episode) -> dict[str, NDArray[Any]]:
@@ -338,7 +339,7 @@ class Dataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {index} of {self.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint=f"another episode; what is damaged: adamanip check {self.root}",
+                hint=f"another episode; what is damaged: adamanip check {as_typed(self.root)}",
             ) from error
 
     def column_table(self, names: Iterable[str]) -> pa.Table:

@@ -7,6 +7,7 @@ control characters. A value that neither LeRobot nor this project writes is refu
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -241,9 +242,9 @@ def require_dataset(root: str | Path) -> Path:
 
 
 def as_typed(folder: Path) -> str:
-    """Returns a folder's path as a user types it: relative if it is below the working directory."""
+    """Returns a path as a user types it: relative if it is below the working directory, quoted if it needs to be."""
     here = Path.cwd()
-    return str(folder.relative_to(here) if folder.is_relative_to(here) else folder)
+    return shlex.quote(str(folder.relative_to(here) if folder.is_relative_to(here) else folder))
 
 
 def first_line(error: BaseException) -> str:

@@ -15,6 +15,7 @@ from lerobot_adamanip.datasets.collection_spec import manifest_path
 from lerobot_adamanip.datasets.conditions import counted_labels, episode_values
 from lerobot_adamanip.datasets.dataset import Dataset
 from lerobot_adamanip.datasets.dense import is_dense_collection
+from lerobot_adamanip.datasets.opening import as_typed
 from lerobot_adamanip.datasets.selection import selection_path
 from lerobot_adamanip.evaluation.failed_tries import FailedTries, failed_tries_by_kind
 from lerobot_adamanip.evaluation.metrics import Recovery, recovery
@@ -157,7 +158,7 @@ def read_stats(root: str | Path) -> DatasetStats:
             "The dataset has invalid values.",
             got=f"{dataset.root.name}: {error}",
             allowed="columns as `adamanip collect` writes them",
-            hint=f"adamanip check {root}",
+            hint=f"adamanip check {as_typed(root)}",
         ) from error
 
 

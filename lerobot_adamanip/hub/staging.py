@@ -19,6 +19,7 @@ from lerobot_adamanip.contract.categories import ALL
 from lerobot_adamanip.datasets.cards import check_card, dataset_card
 from lerobot_adamanip.datasets.check.dataset import check
 from lerobot_adamanip.datasets.dataset import Dataset
+from lerobot_adamanip.datasets.opening import as_typed
 from lerobot_adamanip.evaluation.results import ResultFile
 from lerobot_adamanip.hub.environment import environment_files
 from lerobot_adamanip.hub.model_card import CARD_FIELDS, Checkpoint, model_card
@@ -95,7 +96,7 @@ def stage_dataset(root: Path, repo_id: str, into: Path, *, assets: Path | None =
             "This dataset is damaged.",
             got=f"{root.name}: {result.total(fails=True)} findings, the first: {failures[0]}",
             allowed="a dataset in which `adamanip check` finds nothing",
-            hint=f"adamanip check {root}; adamanip check {root} --repair repairs damage from a crash",
+            hint=f"adamanip check {as_typed(root)} --repair repairs damage from a crash",
         )
     _link(root, (file for file in _file_names(root) if file.startswith(_DATASET) and "/." not in file), into)
     card = dataset_card(root, name, repo_id, assets)

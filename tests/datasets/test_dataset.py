@@ -195,3 +195,13 @@ def test_a_dataset_is_read_back_whole(finished: Path, copy: Path, refuses: Refus
         video.write_bytes(damaged)
         Dataset(copy)  # which does not decode
         refuses(DatasetError, lambda: read_back(copy))
+
+
+def test_a_hint_quotes_a_folder_that_a_shell_would_split(
+    finished: Path, tmp_path: Path, refuses: Refuses, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = Path(shutil.copytree(finished, tmp_path / "my demos"))
+    monkeypatch.chdir(tmp_path)
+    (file,) = (root / "data").rglob("*.parquet")
+    file.write_bytes(b"")
+    assert "adamanip check 'my demos' --repair" in refuses(DatasetError, lambda: Dataset(root))
