@@ -1,4 +1,4 @@
-"""Says what a policy did between a failed try and its repetition, by key frames: `docs/memory.md`, "What follows a failed try".
+"""Says what a policy did between a failed try and its repetition: `docs/memory.md`, "What follows a failed try".
 
     python scripts/show_repeats.py outputs/quick/train/checkpoints/last/pretrained_model --category safe
 
