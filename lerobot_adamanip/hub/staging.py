@@ -29,6 +29,7 @@ from lerobot_adamanip.util import json_fields
 from lerobot_adamanip.util.errors import DatasetError, listed
 
 _LARGE = (".parquet", ".mp4", ".safetensors")
+"""Endings of files that are linked, not copied."""
 _DATASET = ("meta/", "data/", "videos/")
 _MODEL = ("model.", "model-", "policy_preprocessor", "policy_postprocessor")
 """Name prefixes of a checkpoint's weights, pipelines and pipeline states."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
@@ -301,6 +301,16 @@ def test_a_category_without_the_rules_is_refused_with_those_that_have_them() -> 
                 EnvironmentOptions(category=category, mechanism_rules=rules)
             assert all(name in str(caught.value) for name in (category, *categories_with(rules)))
             assert f"--env.type=adamanip_{categories_with(rules)[0]}" in str(caught.value)
+
+
+def test_a_button_that_stays_in_has_no_lock_that_shuts_again() -> None:
+    microwave = make_object(object_id("microwave", 0))
+    links = tuple(
+        replace(link, joint=replace(link.joint, stiffness=0.0)) if link.joint and link.joint.name == "button" else link
+        for link in microwave.links
+    )
+    with pytest.raises(ConfigurationError, match="cannot be pushed again"):
+        make_mechanism(replace(microwave, links=links), "changing")
 
 
 @pytest.mark.parametrize("kind", [RowMechanism, ChangingMechanism])
