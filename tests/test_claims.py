@@ -79,8 +79,6 @@ def listed(words: Sequence[str]) -> str:
 
 
 THREE = ("bottle", "safe", "door")
-DIFFUSION = ("bottle", "safe", "window", "door")
-"""Categories in which LeRobot's diffusion policy is measured by key frames."""
 TRIPLE = re.compile(r"\d+, \d+(?:,| and) \d+ of \d+")
 """Opened, within, repeated."""
 
@@ -114,7 +112,7 @@ def in_memory() -> Iterator[str]:
     for name in REPORTS["memories"].categories_with_results:
         yield row(name, (cells("memories", kind, name)[0] for kind in ("events", "window", "code", "none")))
     for title, method in (("without", "diffusion"), ("with `events`", "diffusion_events")):
-        yield row(title, cells("memories", method, *DIFFUSION))
+        yield row(title, cells("memories", method, *REPORTS["memories"].categories_with_results))
     yield f"#benchmark-scale-control_rate)): {named('dp3_adaptive_key_frames', *THREE)}."
     yield f"(`--mistakes 0.2`): {named('dp3_adaptive_key_frames_with_mistakes', *THREE[:2])};"
     for title, end in (("without", ""), ("with `events`", "_with_events")):
@@ -338,7 +336,7 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
     assert f"Within the tries, events are {listed(said)}." in text
     diffusion, shown = ("diffusion_events", "diffusion"), []
     for outcome in (WITHIN_TRIES, OPENED):
-        difference = report.paired(diffusion, DIFFUSION, "seen", outcome)
+        difference = report.paired(diffusion, report.categories_with_results, "seen", outcome)
         assert difference is not None
         values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
         shown.append("{:+d} points [{:+d}, {:+d}]".format(*values))
