@@ -22,9 +22,10 @@ from check_common import list_of
 
 from lerobot_adamanip.benchmark.declaration import OBJECT_SPLITS
 from lerobot_adamanip.benchmark.plan import FOLDERS, TRAIN, last_checkpoint
+from lerobot_adamanip.benchmark.report import last_training
 from lerobot_adamanip.cli.push import PushCommand
 from lerobot_adamanip.contract.categories import CATEGORIES
-from lerobot_adamanip.evaluation.results import CellRun, read_result
+from lerobot_adamanip.evaluation.results import CellRun, command_options, read_result
 from lerobot_adamanip.evaluation.text_format import markdown_table
 from lerobot_adamanip.util.errors import AdaManipError, DatasetError
 
@@ -50,17 +51,14 @@ def run_of(paths: Sequence[Path]) -> CellRun:
     runs = {}
     for path in paths:
         result = read_result(path)
-        names = [name for name, _ in result.run.options_of(TRAIN)] if result.run else []
-        if result.run is None or not names:
+        if result.run is None or not (last := last_training(result.run)):
             raise DatasetError(
                 "A result of no training.",
                 got=path,
                 allowed="results of a trained method",
                 hint="--method dp3_adaptive",
             )
-        runs.setdefault(
-            (result.run.steps[names[-1]].key, result.simulation_version, result.run.data_version), result.run
-        )
+        runs.setdefault((result.run.steps[last].key, result.simulation_version, result.run.data_version), result.run)
     if len(runs) > 1:
         kinds = (f"{key} (simulation version {one}, data version {other})" for key, one, other in runs)
         raise DatasetError(
@@ -78,9 +76,9 @@ def publications(options: argparse.Namespace) -> Iterator[PushCommand]:
     for category in options.categories:
         results = result_paths(options.benchmark, options.method, category, options.seed)
         run = run_of(results)
-        *_, (last, choices) = run.options_of(TRAIN)
-        training = options.benchmark / FOLDERS[TRAIN] / run.steps[last].key
-        data = options.benchmark / choices["--dataset.root"]
+        step = run.steps[last_training(run)]
+        training = options.benchmark / FOLDERS[TRAIN] / step.key
+        data = options.benchmark / command_options(step.command)["--dataset.root"]
         data_name = "adamanip" if options.name == NAME else f"adamanip-{options.name}"
         dataset, model = (f"{options.user}/{kind}-{category.replace('_', '-')}" for kind in (data_name, options.name))
         yield PushCommand("dataset", dataset, data, **shared)

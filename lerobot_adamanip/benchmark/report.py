@@ -185,7 +185,7 @@ class BenchmarkReport:
     def runs_of(self, method: str) -> list[CellRun]:
         """Returns a `CellRun` of each last training of a method, which several results may share."""
         runs = [result.run for result in self.results if result.run is not None and result.run.method == method]
-        names = [_last_training(run) for run in runs]
+        names = [last_training(run) for run in runs]
         return list(
             {run.steps[name].key if name else id(run): run for run, name in zip(runs, names, strict=True)}.values()
         )
@@ -214,10 +214,10 @@ class BenchmarkReport:
 
 def last_trainings(runs: Iterable[CellRun]) -> list[TrainingLog]:
     """Returns the logs of the last training of each run that has one."""
-    return [run.trainings[name] for run in runs if (name := _last_training(run)) in run.trainings]
+    return [run.trainings[name] for run in runs if (name := last_training(run)) in run.trainings]
 
 
-def _last_training(run: CellRun) -> str:
+def last_training(run: CellRun) -> str:
     """Returns the name of a run's last training step; empty if it has none."""
     return next((name for name, _ in reversed(list(run.options_of(TRAIN)))), "")
 

@@ -339,7 +339,7 @@ class Dataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {index} of {self.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint=f"another episode; what is damaged: adamanip check {as_typed(self.root)}",
+                hint=f"adamanip check {as_typed(self.root)} lists all damage; other episodes can be read",
             ) from error
 
     def column_table(self, names: Iterable[str]) -> pa.Table:

@@ -158,7 +158,7 @@ def read_stats(root: str | Path) -> DatasetStats:
             "The dataset has invalid values.",
             got=f"{dataset.root.name}: {error}",
             allowed="columns as `adamanip collect` writes them",
-            hint=f"adamanip check {as_typed(Path(root))}",
+            hint=f"adamanip check {as_typed(dataset.root)}",
         ) from error
 
 

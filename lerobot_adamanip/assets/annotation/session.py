@@ -53,19 +53,24 @@ class Draft:
     def _best_there_is(self) -> tuple[Annotation, str]:
         note = ""
         for name, origin in ((DRAFT_NAME, "changes that were not saved"), (ANNOTATION_NAME, "saved annotation")):
-            if (self.folder / name).is_file():
-                try:
-                    annotation = read_annotation(self.folder / name, self.category)
-                    check_joint_roles(self.urdf, annotation)
-                    if all(part.link in self.urdf.links for part in annotation.parts.values()):
-                        return annotation, origin
-                except ConfigurationError:
-                    pass
-                note += f"; {name} does not fit, and saving replaces it"
+            if not (self.folder / name).is_file():
+                continue
+            if (annotation := self._usable(name)) is not None:
+                return annotation, origin
+            note += f"; {name} does not fit, and saving replaces it"
         try:
             return upstream_annotation(self.urdf, self.category), f"AdaManip's annotated points{note}"
         except ConfigurationError:
             return propose(self.urdf, self.category), f"proposed from bounding boxes{note}"
+
+    def _usable(self, name: str) -> Annotation | None:
+        """Returns a stored annotation; None if it is damaged, or names joints or links that the object lacks."""
+        try:
+            annotation = read_annotation(self.folder / name, self.category)
+            check_joint_roles(self.urdf, annotation)
+        except ConfigurationError:
+            return None
+        return annotation if all(part.link in self.urdf.links for part in annotation.parts.values()) else None
 
     def _place(self) -> None:
         """Computes the link poses, and converts grasps from link frames to the object frame."""
