@@ -339,7 +339,7 @@ class Dataset:
                 "An episode of the dataset has invalid values.",
                 got=f"episode {index} of {self.root}: {error}",
                 allowed="rows as `adamanip collect` writes them",
-                hint=f"adamanip check {as_typed(self.root)} lists all damage; other episodes can be read",
+                hint=f"to see all damage: adamanip check {as_typed(self.root)}; other episodes can be read",
             ) from error
 
     def column_table(self, names: Iterable[str]) -> pa.Table:
