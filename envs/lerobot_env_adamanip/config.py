@@ -207,7 +207,7 @@ class AdaManipEnvConfig(EnvConfig):
             SimulatorError: images are requested, but this machine cannot render.
         """
         from lerobot_adamanip.evaluation.record import new_run_id
-        from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
+        from lerobot_adamanip.mechanisms.table import unchanged_rules
         from lerobot_env_adamanip.policy_check import require_fitting_policy
         from lerobot_env_adamanip.vector import make_vector_env
 

@@ -11,10 +11,10 @@ from typing import Any
 
 from lerobot_adamanip.util.errors import ConfigurationError
 
-logger = logging.getLogger(__name__)
-
 HUGE = 1e4
 """Larger than any number in the description of a household object."""
+warn_once_about_asset = functools.cache(logging.getLogger(__name__).warning)
+"""Logs a warning once, although objects are loaded repeatedly."""
 
 
 def broken(
@@ -27,12 +27,6 @@ def broken(
 def annotate_hint(path: Path, category: str) -> str:
     """Returns the command that annotates the object whose URDF or annotation is at ``path``."""
     return f"adamanip annotate {shlex.quote(str(path.parent))} --category {category}"
-
-
-@functools.cache
-def warn_once_about_asset(text: str) -> None:
-    """Logs a warning once, although objects are loaded repeatedly."""
-    logger.warning("%s", text)
 
 
 def parse_xml(path: Path, text: bytes) -> Any:

@@ -52,8 +52,13 @@ def upstream_annotation(urdf: Urdf, category: str) -> Annotation:
     for part in roles.parts:
         path = next((p for name in part.point_files if (p := urdf.path.parent / name).is_file()), None)
         if path is None:
-            raise _unannotated(urdf, category, part)
-        link = part_link(urdf, part, joints, roles.final, roles.key)
+            raise ConfigurationError(
+                f"{urdf.path.parent.name} does not say where its {part.name} is held.",
+                got=f"neither {ANNOTATION_NAME} nor {' nor '.join(part.point_files)} in {urdf.path.parent}",
+                allowed=f"{ANNOTATION_NAME}, or AdaManip's annotated points (PartNet-Mobility has none)",
+                hint=annotate_hint(urdf.path, category),
+            )
+        link = part_link(urdf, part, joints, roles.final)
         rolls = any_roll() if part.round else TWO_FINGERS
         parts[part.name] = PartChoice(link, upstream_grasp(part, read_point(path)), "link", rolls)
     return Annotation(category, joints, parts)
@@ -95,7 +100,7 @@ def default_choice(role: JointRole, joint: UrdfJoint) -> JointChoice:
     return JointChoice(joint.name, rest, upper if upper - rest >= rest - lower else lower)
 
 
-def part_link(urdf: Urdf, part: PartRole, joints: Mapping[str, JointChoice], final: JointRole, key: JointRole) -> str:
+def part_link(urdf: Urdf, part: PartRole, joints: Mapping[str, JointChoice], final: JointRole) -> str:
     """Returns the link of a part: the child of its last joint, or a handle with its own joint on that link."""
     children = {joint.name: joint.child for joint in urdf.joints}
     link = children[joints[part.joints[-1]].joint]
@@ -144,12 +149,3 @@ def _stored_point(path: Path) -> Any:
     if not isinstance(value, torch.Tensor):
         raise TypeError(f"{type(value).__name__} instead of a tensor")
     return value.detach().double().numpy()
-
-
-def _unannotated(urdf: Urdf, category: str, part: PartRole) -> ConfigurationError:
-    return ConfigurationError(
-        f"{urdf.path.parent.name} does not say where its {part.name} is held.",
-        got=f"neither {ANNOTATION_NAME} nor {' nor '.join(part.point_files)} in {urdf.path.parent}",
-        allowed=f"{ANNOTATION_NAME}, or AdaManip's annotated points (PartNet-Mobility has none)",
-        hint=annotate_hint(urdf.path, category),
-    )

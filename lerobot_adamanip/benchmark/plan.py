@@ -281,7 +281,7 @@ def _learning(
 
 
 def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions) -> Step:
-    expert = (f"--expert={data.expert}", *_expert_options(data))
+    expert = (f"--expert={data.expert}", *_changed(data, "expert_strategy"))
     trials = (f"--trials={data.trials}",) if data.expert == "adaptive" else ()  # others would have unequal keys
     mistakes = (f"--mistakes={data.mistakes:g}",) if data.mistakes else ()
     how = (*expert, *trials, f"--late-starts={data.late_starts:g}", *mistakes)
@@ -293,20 +293,14 @@ def _collection(cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVer
 def _correction(
     cell: Cell, data: Demonstrations, scale: Scale, versions: KeyVersions, *, episodes: int, training: Step
 ) -> Step:
-    own = [name for name in ("trials", "late_starts") if getattr(data, name) != getattr(Demonstrations(), name)]
-    chosen = tuple(f"--{name.replace('_', '-')}={getattr(data, name):g}" for name in own)
-    how = (f"--policy={last_checkpoint(training.product)}", *_expert_options(data), *chosen)
+    chosen = _changed(data, "expert_strategy", "trials", "late_starts")
+    how = (f"--policy={last_checkpoint(training.product)}", *chosen)
     per_object = math.ceil(episodes / _objects(cell, scale))
     return _recording(CORRECT, cell, data, scale, versions, per_object=per_object, how=how, needs=(training,))
 
 
 def _objects(cell: Cell, scale: Scale) -> int:
     return len(parse_object_selection(cell.category, scale.objects_of(cell.category)))
-
-
-def _expert_options(data: Demonstrations) -> tuple[str, ...]:
-    strategy = data.expert_strategy
-    return () if strategy == Demonstrations().expert_strategy else (f"--expert-strategy={strategy}",)
 
 
 def _recording(
@@ -335,7 +329,7 @@ def _recording(
         f"--mechanism-rules={data.mechanism_rules}",
         *(_dense_options(data, "--") if data.is_dense else ()),
         *(("--cloud",) if data.is_dense and data.cloud else ()),
-        *_observed(data, "--"),
+        *_changed(data, "memory", "sensing"),
         *((f"--hints={scale.hints:g}",) if scale.hints else ()),
         _COLLECTED,
     )
@@ -348,10 +342,11 @@ def _dense_options(data: Demonstrations, prefix: str) -> tuple[str, ...]:
     return tuple(f"{prefix}{name}={getattr(data, name)}" for name in ("control", "action", "state"))
 
 
-def _observed(data: Demonstrations, prefix: str) -> tuple[str, ...]:
-    """Returns options of observations, if they are not the default, so that keys of former results hold."""
-    names = [name for name in ("memory", "sensing") if getattr(data, name) != getattr(Demonstrations(), name)]
-    return tuple(f"{prefix}{name}={getattr(data, name)}" for name in names)
+def _changed(data: Demonstrations, *names: str, prefix: str = "--") -> tuple[str, ...]:
+    """Returns options that are not the default, so that keys of former results hold."""
+    values = {name: getattr(data, name) for name in names if getattr(data, name) != getattr(Demonstrations(), name)}
+    texts = {name: value if isinstance(value, str) else f"{value:g}" for name, value in values.items()}
+    return tuple(f"{prefix}{name.replace('_', '-')}={text}" for name, text in texts.items())
 
 
 def _merge(parts: tuple[Step, ...]) -> Step:
@@ -419,7 +414,7 @@ def _evaluation(
         f"--env.num_points={like.num_points}",
         *pictures,
         *dense,
-        *_observed(like, "--env."),
+        *_changed(like, "memory", "sensing", prefix="--env."),
         f"--env.poses={like.poses}",
         f"--env.mechanism_rules={like.mechanism_rules}",
         *((f"--env.hints={scale.hints:g}",) if scale.hints else ()),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from lerobot_adamanip.catalog import SEEN_COUNTS, object_split, select_objects
 from lerobot_adamanip.evaluation.text_format import counted
-from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
+from lerobot_adamanip.mechanisms.table import unchanged_rules
 from lerobot_adamanip.util.errors import GET_PICTURES, ConfigurationError, no_vulkan_device
 from lerobot_adamanip.util.jobs import preload
 

@@ -81,8 +81,8 @@ class KeyframesCommand:
     def options(self) -> ConvertOptions:
         """Returns the converter's options."""
         from lerobot_adamanip.recordings.convert import ConvertOptions
-        from lerobot_adamanip.recordings.keyframe_choice import KeyFrameOptions
         from lerobot_adamanip.recordings.rows import RowOptions
+        from lerobot_adamanip.recordings.sparsify import KeyFrameOptions
 
         return ConvertOptions(
             key_frames=KeyFrameOptions(self.stopped, self.same_place, self.given_up, reached_position=self.reached),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -80,11 +81,11 @@ def write_key_frames(
         DatasetError: the dataset is damaged or lacks columns that key frames have, or ``out`` exists.
     """
     require_repo_id(repo_id)
+    source = Dataset(root)
+    environment = _environment(source, images=images)
     with owned_output(out, CONVERTING) as output:
         output.require_free()
         output.require_room()
-        source = Dataset(root)
-        environment = _environment(source, images=images)
         folder, shards, count = output.fresh("episodes"), [], 0
         folder.mkdir()
         for done, episode in enumerate(source.episodes, start=1):
@@ -94,11 +95,7 @@ def write_key_frames(
             count += len(converted) - 1
             progress("convert", done, len(source))
         contents = Contents(shards, environment, repo_id or f"local/{output.root.name}")
-
-        def advance(done: int, total: int) -> None:
-            progress("assemble", done, total)
-
-        built = assemble(output.fresh("dataset"), output.root.name, contents, advance)
+        built = assemble(output.fresh("dataset"), output.root.name, contents, functools.partial(progress, "assemble"))
         keep_unscaled_poses(built, [source])
         output.publish(built)
     return len(shards), count

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol
 
 from lerobot_adamanip.contract.keyframes import KeyFrameLabels, Outcome
 from lerobot_adamanip.episode.dense import DenseEnvironment, DenseStep
@@ -11,33 +10,12 @@ from lerobot_adamanip.episode.rollout import KeyframeEnvironment
 from lerobot_adamanip.experts import Belief
 
 
-class TriesSoFar(Protocol):
-    """Follows the tries of an episode.
-
-    Attributes:
-        belief: what they say about the mechanism.
-        latest: labels of the key frame that ended last.
-    """
-
-    belief: Belief
-    latest: KeyFrameLabels
-
-    def after_step(self) -> None:
-        """Follows a step of the environment."""
-
-    def end(self, outcome: Outcome | None) -> None:
-        """Follows the end of a key frame, with its outcome."""
-
-
 class KeyFrameTries:
-    """Implements `TriesSoFar` by key frames: each is felt at its end."""
+    """Tries by key frames: each is felt at its end."""
 
     def __init__(self, env: KeyframeEnvironment) -> None:
         self._env, self._before = env, env.part_positions()
         self.belief, self.latest = Belief(), KeyFrameLabels()
-
-    def after_step(self) -> None:
-        """Does nothing."""
 
     def end(self, outcome: Outcome | None) -> None:
         """Adds the try of the key frame."""
@@ -48,7 +26,7 @@ class KeyFrameTries:
 
 
 class DenseTries:
-    """Implements `TriesSoFar` at control rate: a try is felt when it ends, or when a key frame ends in it."""
+    """Tries at control rate: a try is felt when it ends, or when a key frame ends in it."""
 
     def __init__(self, env: DenseEnvironment) -> None:
         self._env, self.belief, self.latest = env, Belief(), KeyFrameLabels()
@@ -73,7 +51,11 @@ class DenseTries:
         self._labels = KeyFrameLabels()
 
 
-def followed(tries: TriesSoFar, on_step: Callable[[DenseStep], None]) -> Callable[[DenseStep], None]:
+TriesSoFar = KeyFrameTries | DenseTries
+"""``belief``: what the tries say about the mechanism; ``latest``: labels of the key frame that ended last."""
+
+
+def followed(tries: DenseTries, on_step: Callable[[DenseStep], None]) -> Callable[[DenseStep], None]:
     """Returns ``on_step``, which then also follows the tries."""
 
     def follow(step: DenseStep) -> None:

@@ -57,16 +57,8 @@ def matrix_from_quaternion(quaternion_wxyz: ArrayLike) -> Array:
 
 
 def quaternion_from_matrix(matrix: ArrayLike) -> Array:
-    """Converts rotations (..., 3, 3) -> (..., 4) wxyz with w >= 0."""
-    array = np.asarray(matrix, dtype=np.float64)
-    if array.ndim == 2:
-        return _quaternion(array)
-    return np.asarray(Rotation.from_matrix(array).as_quat(canonical=True, scalar_first=True))
-
-
-def _quaternion(matrix: Array) -> Array:
-    """Converts one rotation (3, 3) -> (4,) wxyz; scipy takes 0.2 ms each, and an object has dozens of poses."""
-    (a, b, c), (d, e, f), (g, h, i) = matrix.tolist()
+    """Converts one rotation (3, 3) -> (4,) wxyz with w >= 0; scipy takes 0.2 ms, and an object has dozens of poses."""
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(matrix, dtype=np.float64).tolist()
     squares = (1 + a + e + i, 1 + a - e - i, 1 - a + e - i, 1 - a - e + i)  # four times those of w, x, y, z
     largest = squares.index(max(squares))
     rows = (

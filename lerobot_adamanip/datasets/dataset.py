@@ -365,20 +365,12 @@ class Dataset:
         """Source episodes of this part of a dataset; all its own episodes if it is not a part."""
         return read_selection(self.root, len(self))
 
-    def check_videos(self) -> None:
-        """Raises `DatasetError` for a video file that is no MP4 file."""
-        try:
-            for path in self.root.glob("videos/*/*/*.mp4"):
-                check_video(path)
-        except UntrustedValueError as error:
-            raise untrusted(self.root, error) from error
-
     def _raise(self, kind: str, message: str, file: str | None, episode: int | None) -> NoReturn:
         place = ", ".join(filter(None, (file, None if episode is None else f"episode {episode}")))
         raise (untrusted if kind == "untrusted" else damaged)(self.root, f"{place}: {message}")
 
     def _require_complete(self) -> None:
-        """Raises `DatasetError` if statistics, rows, episodes or videos are missing or half written."""
+        """Raises `DatasetError` if statistics, rows, episodes or videos are missing, half written or no MP4 files."""
         try:
             read(self.root / STATS, max_bytes=MAX_STATISTICS_BYTES)
         except (OSError, ValueError) as error:
@@ -395,7 +387,11 @@ class Dataset:
         for key in self.keys_of("video"):
             if not any((self.root / "videos" / key).glob("*/*.mp4")):
                 raise damaged(self.root, f"no videos of {key}")
-        self.check_videos()
+        try:
+            for path in self.root.glob("videos/*/*/*.mp4"):
+                check_video(path)
+        except UntrustedValueError as error:
+            raise untrusted(self.root, error) from error
 
     def _require_columns(self) -> None:
         shapes = {key: tuple(feature["shape"]) for key, feature in self.features.items()}

@@ -123,11 +123,6 @@ class EpisodeDescription:
         """Returns its fields as `RecordedEpisode.record`, with the instruction ``task``."""
         return {**vars(self), "attempts": self.attempts, "task": task}
 
-    def columns(self) -> dict[str, Any]:
-        """Returns the values of its columns in ``meta/episodes``, in order; `JSON_COLUMNS` hold JSON."""
-        plain = {name: getattr(self, name) for name in PLAIN_COLUMNS}
-        return plain | {name: to_json(getattr(self, name)) for name in JSON_COLUMNS}
-
     @classmethod
     def from_columns(cls, row: Mapping[str, Any], *, partial: bool = False) -> EpisodeDescription:
         """Returns the description in a row of ``meta/episodes``.

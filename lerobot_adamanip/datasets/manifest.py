@@ -303,7 +303,7 @@ def _manifest(content: dict[str, Any], assets: str | None) -> Manifest:
             "This collection used external assets." if hashes else "This collection used generated objects.",
             got=f"--assets {assets}",
             allowed="their folder" if hashes else "no folder",
-            hint="--assets DIR",
+            hint="--assets DIR" if hashes else "leave --assets out",
         )
     options = from_stored(collection.pop("environment"))
     workspace = Workspace(**options.pop("workspace"))

@@ -6,6 +6,7 @@ control characters. A value that neither LeRobot nor this project writes is refu
 
 from __future__ import annotations
 
+import contextlib
 import re
 import shlex
 from collections.abc import Mapping
@@ -14,6 +15,7 @@ from typing import Any
 
 from lerobot_adamanip.contract.schema import POINT_CLOUD, STATE
 from lerobot_adamanip.datasets.collection_spec import CollectionPaths
+from lerobot_adamanip.datasets.output_folder import INFO
 from lerobot_adamanip.hardware.features import DEPTH_SUFFIX, names_of
 from lerobot_adamanip.util.errors import DatasetError
 from lerobot_adamanip.util.json_fields import (
@@ -30,9 +32,7 @@ from lerobot_adamanip.util.json_fields import (
     read,
     text,
 )
-from lerobot_adamanip.util.video import is_mp4
 
-INFO = "meta/info.json"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 VIDEO_PATH = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp4"
 """LeRobot's templates. Datasets with other paths in their metadata are refused: those could point anywhere."""
@@ -82,14 +82,16 @@ _OF_CARDS = ("object_id", "expert", "versions", "hidden_state", "recorded")
 """Columns of episodes that a card shows."""
 
 
-def check_info(info: Any) -> dict[str, Any]:
-    """Returns the content of ``meta/info.json``.
+def read_info(folder: Path) -> dict[str, Any]:
+    """Returns ``meta/info.json`` after checking it.
 
     Raises:
+        OSError: it does not exist.
         OtherFormatError: the dataset has another format.
         UntrustedValueError: a value is not one that LeRobot or this project writes.
-        ValueError: a field is missing.
+        ValueError: it is not JSON, or lacks a field.
     """
+    info: Any = read(folder / INFO)
     if not isinstance(info, dict) or not isinstance(info.get("features"), dict):
         raise ValueError("it does not describe columns")
     if (version := info.get("codebase_version")) != VERSION:
@@ -137,16 +139,11 @@ def check_episode_text(column: str, value: object) -> None:
     try:
         text(r"(?s)[^\x00-\x08\x0b-\x1f\x7f-\x9f]*", "printable text")(column, value)
         if column in _OF_CARDS:
-            _check_words(column, _parsed(value))
+            with contextlib.suppress(ValueError):
+                value = parse(value)
+            _check_words(column, value)
     except ValueError as error:
         raise UntrustedValueError(str(error)) from None
-
-
-def _parsed(value: str) -> Any:
-    try:
-        return parse(value)
-    except ValueError:
-        return value
 
 
 def _check_words(name: str, value: object) -> None:
@@ -162,23 +159,13 @@ def _check_words(name: str, value: object) -> None:
 
 def check_video(path: Path) -> None:
     """Raises `UntrustedValueError` for a file that is no MP4, such as a playlist, whose entries FFmpeg would open."""
-    if not is_mp4(path):
+    with open(path, "rb") as file:
+        head = file.read(8)
+    if head and head[4:] != b"ftyp":
         raise UntrustedValueError(f"{path.name} is no MP4 file, so FFmpeg might read it as a list of other files")
 
 
 # Opening --------------------------------------------------------------------------------------------------------------
-
-
-def read_info(folder: Path) -> dict[str, Any]:
-    """Returns ``meta/info.json`` after checking it.
-
-    Raises:
-        OSError: it does not exist.
-        OtherFormatError: the dataset has another format.
-        UntrustedValueError: a value is not one that LeRobot or this project writes.
-        ValueError: it is not JSON, or lacks a field.
-    """
-    return check_info(read(folder / INFO))
 
 
 def checked_info(folder: Path) -> dict[str, Any]:

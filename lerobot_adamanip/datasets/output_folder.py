@@ -18,6 +18,8 @@ from pathlib import Path
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import DatasetError
 
+INFO = "meta/info.json"
+"""A file of every LeRobotDataset."""
 COLLECTING, RENDERING, WRITING, CONVERTING = ".partial", ".rendering", ".writing", ".converting"
 """Suffixes of the work folders of collect; render; filter, split and merge; keyframes."""
 RECORDING = ".recording"
@@ -107,9 +109,11 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
     """Locks an output folder, creates its work folder, and tests that the finished dataset can be moved into place.
 
     Raises:
-        DatasetError: the folder is not writable, another command uses it, or the work folder has foreign files.
+        DatasetError: the folder is not writable or lies in a dataset, another command uses it, or the work folder has
+            foreign files.
     """
     output = OutputFolder(resolve_output(target), suffix)
+    _require_outside_datasets(output.root)
     missing = [folder for folder in output.root.parents if not folder.exists()]
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, missing)
@@ -123,6 +127,16 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
             _probe(output)
         files.crash_point("output claimed")
         yield output
+
+
+def _require_outside_datasets(root: Path) -> None:
+    if dataset := next((folder for folder in root.parents if (folder / INFO).is_file()), None):
+        raise DatasetError(
+            "The output folder lies in a dataset.",
+            got=f"{root} in {dataset}",
+            allowed="a folder that is in no dataset: LeRobot reads every file in its own",
+            hint=f"a folder beside it, such as {dataset.with_name(root.name)}",
+        )
 
 
 def _remove_empty(folders: Iterable[Path]) -> None:

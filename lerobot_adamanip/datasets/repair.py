@@ -20,8 +20,8 @@ from lerobot_adamanip.datasets.check.dataset import CAMERAS, lacks_cameras, left
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.check.statistics import check_statistics, repaired_statistics, stored_statistics
 from lerobot_adamanip.datasets.dataset import STATS, Dataset
-from lerobot_adamanip.datasets.opening import INFO, first_line, require_dataset
-from lerobot_adamanip.datasets.output_folder import lock_output, resolve_output
+from lerobot_adamanip.datasets.opening import first_line, require_dataset
+from lerobot_adamanip.datasets.output_folder import INFO, lock_output, resolve_output
 from lerobot_adamanip.datasets.statistics import plain_statistics
 from lerobot_adamanip.datasets.writing import camera_records, cameras_json
 from lerobot_adamanip.util import files
@@ -64,13 +64,9 @@ class Repair:
     def replace(self, path: Path, content: Mapping[str, Any], what: str) -> None:
         """Writes a JSON file, after copying the old one into the backup."""
         if path.exists():
-            self.back_up(path)
+            self._back_up(path, shutil.copy2)
         files.write_atomically(path, (json.dumps(content, indent=4) + "\n").encode())
         self._note(path, what)
-
-    def back_up(self, path: Path) -> None:
-        """Copies a file into the backup, before it is changed."""
-        self._back_up(path, shutil.copy2)
 
     def _back_up(self, path: Path, move: Callable[[Path, Path], object]) -> None:
         place = self.backup / path.relative_to(self.root)

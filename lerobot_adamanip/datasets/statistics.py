@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -149,13 +148,3 @@ def cloud_statistics(batches: Iterable[NDArray[np.float32]]) -> dict[str, NDArra
     }
     ((width,),) = widths
     return {"count": np.array([rows]), **{name: np.tile(value, width // 3) for name, value in axes.items()}}
-
-
-def write_episodes(path: Path, table: pa.Table) -> None:
-    """Writes a file of ``meta/episodes`` durably."""
-    repeated = [name for name in table.column_names if not name.startswith("stats/")]
-    # Hugging Face's schema note lists the old columns; without it the reader uses the types of the file.
-    plain, sink = table.replace_schema_metadata(None), pa.BufferOutputStream()
-    pq.write_table(plain, sink, compression="zstd", use_dictionary=repeated)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    files.write_atomically(path, sink.getvalue().to_pybytes())

@@ -14,7 +14,7 @@ from lerobot_adamanip.contract.cameras import FRONT
 from lerobot_adamanip.contract.pointcloud import Workspace
 from lerobot_adamanip.datasets.encoding import ENCODER_THREADS, quieten, video_encoder
 from lerobot_adamanip.datasets.episode import to_json
-from lerobot_adamanip.datasets.statistics import write_episodes
+from lerobot_adamanip.util import files
 from lerobot_adamanip.util.json_fields import parse
 
 _OPTIONS: dict[str, Any] = {
@@ -44,14 +44,15 @@ def create_dataset(
         features: columns of the dataset, see `schema.dataset_features`.
         fps: rows per second.
         intrinsics: (3, 3) of the front camera at that size [px], if known.
-        workspace: see `cloud_info`.
-        depth_camera: see `cloud_info`.
+        workspace: box of the clouds, if no manifest has it and it is not the default.
+        depth_camera: key of the camera whose depth becomes the clouds; `FRONT` is not stored.
     """
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     quieten()
     if schema.POINT_CLOUD in features:
-        features[schema.POINT_CLOUD]["info"] = cloud_info(workspace, depth_camera)
+        info = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
+        features[schema.POINT_CLOUD]["info"] = info if depth_camera == FRONT else {**info, "camera": depth_camera}
     if schema.FRONT_IMAGE in features:
         features[schema.FRONT_IMAGE]["info"] = {"intrinsics": intrinsics, "cameras": "meta/cameras.json"}
     return LeRobotDataset.create(
@@ -71,17 +72,6 @@ def workspace_info(workspace: Workspace | None) -> dict[str, Any]:
     return {"workspace": {"lower": list(workspace.lower), "upper": list(workspace.upper)}}
 
 
-def cloud_info(workspace: Workspace | None, depth_camera: str) -> dict[str, Any]:
-    """Returns the description of a cloud column.
-
-    Args:
-        workspace: box of the clouds, if no manifest has it and it is not the default.
-        depth_camera: key of the camera whose depth becomes the clouds; `FRONT` is not stored.
-    """
-    info = {"unit": "m", "frame": "robot_base", **workspace_info(workspace)}
-    return info if depth_camera == FRONT else {**info, "camera": depth_camera}
-
-
 def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table) -> None:
     """Adds columns, one value per episode, to a finalised dataset: ``ds.meta.episodes[i][name]``."""
     added = columns if isinstance(columns, pa.Table) else pa.table(columns)
@@ -93,7 +83,11 @@ def add_episode_columns(root: Path, columns: Mapping[str, list[Any]] | pa.Table)
         for name in values.column_names:
             if name not in table.column_names:
                 table = table.append_column(name, values[name])
-        write_episodes(path, table)
+        repeated = [name for name in table.column_names if not name.startswith("stats/")]
+        # Hugging Face's schema note lists the old columns; without it the reader uses the types of the file.
+        plain, sink = table.replace_schema_metadata(None), pa.BufferOutputStream()
+        pq.write_table(plain, sink, compression="zstd", use_dictionary=repeated)
+        files.write_atomically(path, sink.getvalue().to_pybytes())
 
 
 def camera_records(episodes: pa.Table) -> list[dict[str, Any]]:

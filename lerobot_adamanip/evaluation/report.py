@@ -24,7 +24,7 @@ from lerobot_adamanip.evaluation.record import (
     without_repeats,
 )
 from lerobot_adamanip.evaluation.text_format import interval_text, markdown_table
-from lerobot_adamanip.mechanisms.unchanged_rules import unchanged_rules
+from lerobot_adamanip.mechanisms.table import unchanged_rules
 
 OBJECT_SPLITS = ("seen", "unseen", "novel", "external")
 _SCENE_SPLITS = ("test", "validation", "train", "other")

@@ -116,12 +116,7 @@ def make_expert(
     if hidden is not None:
         return _started(hand, annotations, feedback, expert.static(hand, annotations, hidden))
     known = Knowledge(annotations, fixed_direction(category, mechanism_rules))
-    return _started(hand, annotations, feedback, _adaptive(expert, strategy)(hand, known))
-
-
-def _adaptive(expert: Expert, strategy: str) -> Callable[[Hand, Knowledge], KeyFrames]:
-    other = expert.others.get(strategy)
-    return other.adaptive if other else expert.adaptive
+    return _started(hand, annotations, feedback, expert.others.get(strategy, expert).adaptive(hand, known))
 
 
 def _check_knowledge(kind: str, trials: int, hidden: Hidden | None) -> None:

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator
 
-import numpy as np
-
 from lerobot_adamanip.contract.keyframes import Feedback, Goal, KeyFrames
 from lerobot_adamanip.experts.primitives import Frames, Hand, Opening
+from lerobot_adamanip.experts.turn_to_open import SWING
 from lerobot_adamanip.objects import PartAnnotation
 
-PULL_ANGLES = tuple(np.deg2rad((10.0, 22.0, 33.0, 42.0)))
-"""Door angles of the pulls [rad]. The first is the try; the last is well past success, as in upstream's code."""
 MAX_ROUNDS = 3
 """Largest number of changes between key and handle before an expert gives up."""
 
@@ -22,7 +19,7 @@ def pull_door(hand: Hand, handle: PartAnnotation, joint: str, tries: int = 1) ->
         yield from hand.regrasp(handle)
     opening = Opening.BLOCKED
     for _ in range(tries):
-        opening = yield from hand.open(handle, joint, PULL_ANGLES)
+        opening = yield from hand.open(handle, joint, SWING)
         if opening is not Opening.BLOCKED:
             break
     return opening

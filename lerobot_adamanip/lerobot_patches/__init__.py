@@ -8,6 +8,8 @@ variable `NO_PATCHES` turns all patches off.
 
 from __future__ import annotations
 
+import importlib
+
 from lerobot_adamanip.lerobot_patches import support
 from lerobot_adamanip.lerobot_patches.support import NO_PATCHES, UnsupportedError, warn_once
 
@@ -46,7 +48,7 @@ def apply() -> None:
             continue
         before = support.count()
         try:
-            _apply(name)
+            importlib.import_module(f"lerobot_adamanip.lerobot_patches.{name}").apply()
             _on.add(name)
         except (UnsupportedError, ImportError, AttributeError, KeyError) as error:
             support.restore(before)
@@ -57,15 +59,3 @@ def restore() -> None:
     """Removes all patches, for comparison with unpatched LeRobot."""
     support.restore()
     _on.clear()
-
-
-def _apply(name: str) -> None:
-    if name == "durable_recording":
-        from lerobot_adamanip.lerobot_patches.durable_recording import apply as patch
-    elif name == "ordered_depth":
-        from lerobot_adamanip.lerobot_patches.ordered_depth import apply as patch
-    elif name == "rollout_memory":
-        from lerobot_adamanip.lerobot_patches.rollout_memory import apply as patch
-    else:
-        from lerobot_adamanip.lerobot_patches.episode_signals import apply as patch
-    patch()

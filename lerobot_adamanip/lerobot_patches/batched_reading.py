@@ -52,7 +52,7 @@ def _apply() -> Mark:
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     if not hasattr(LeRobotDataset, "__getitems__"):
-        support.add(LeRobotDataset, "__getitems__", _get_items)
+        support.replace(LeRobotDataset, "__getitems__", _get_items)
     return Mark()
 
 

@@ -30,14 +30,8 @@ def loaded(name: str) -> ModuleType | None:
 
 
 def replace(owner: Any, name: str, value: Any) -> None:
-    """Sets an attribute of a module or class of LeRobot."""
-    _replaced.append((owner, name, vars(owner)[name]))
-    setattr(owner, name, value)
-
-
-def add(owner: Any, name: str, value: Any) -> None:
-    """Sets an attribute that a module or class of LeRobot lacks."""
-    _replaced.append((owner, name, _ABSENT))
+    """Sets an attribute of a module or class of LeRobot, also one that it lacks."""
+    _replaced.append((owner, name, vars(owner).get(name, _ABSENT)))
     setattr(owner, name, value)
 
 

@@ -94,9 +94,9 @@ def overridden[ValueT: (bool, int, float)](
     return type(drawn)(value)
 
 
-def draw_locked(generator: Draws, overrides: Overrides) -> bool:
-    """Draws whether an episode starts locked (p = 1/2); override ``locked``."""
-    return overridden(generator.random() < 0.5, overrides, "locked", (False, True))
+def draw_flag(generator: Draws, overrides: Overrides, name: str) -> bool:
+    """Draws a hidden value that is True with p = 1/2; override ``name``."""
+    return overridden(generator.random() < 0.5, overrides, name, (False, True))
 
 
 def draw_direction(generator: Draws, p_positive: float, overrides: Overrides) -> int:

@@ -13,6 +13,7 @@ from lerobot_adamanip.mechanisms.base import (
     Positions,
     check_positive,
     draw_direction,
+    draw_flag,
     draw_range,
     overridden,
     range_words,
@@ -30,11 +31,6 @@ PLAY = {"revolute": 0.01, "prismatic": 5e-4}
 """Motion of a part whose lock shuts again [rad, m]: half of what `episode.tries` counts as motion, so the try fails."""
 KEPT_OUT = 0.5
 """Share of its range above which a lock keeps a key turned; below, at rest."""
-
-
-def draw_flag(generator: Draws, overrides: Overrides, name: str) -> bool:
-    """Draws a hidden value that is True with p = 1/2; override ``name``."""
-    return overridden(generator.random() < 0.5, overrides, name, (False, True))
 
 
 @dataclass(frozen=True)

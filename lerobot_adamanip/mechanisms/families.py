@@ -15,7 +15,7 @@ from lerobot_adamanip.mechanisms.base import (
     check_positive,
     direction_words,
     draw_direction,
-    draw_locked,
+    draw_flag,
     draw_range,
     overridden,
     range_words,
@@ -132,7 +132,7 @@ class SafeMechanism(Mechanism[SafeState]):
         self._p_positive, self._lock_on_turn = p_positive, lock_on_turn
 
     def _draw(self, generator: Draws, overrides: Overrides) -> SafeState:
-        locked = draw_locked(generator, overrides)
+        locked = draw_flag(generator, overrides, "locked")
         direction = draw_direction(generator, self._p_positive, overrides)
         return SafeState(
             locked, direction, draw_range(generator, self._knob_range, KNOB_RANGE, overrides, "knob_range"), not locked
@@ -187,7 +187,7 @@ class MicrowaveMechanism(Mechanism[MicrowaveState]):
         self._travel = check_positive("button_travel", button_travel)
 
     def _draw(self, generator: Draws, overrides: Overrides) -> MicrowaveState:
-        locked = draw_locked(generator, overrides)
+        locked = draw_flag(generator, overrides, "locked")
         return MicrowaveState(locked, not locked)
 
     def step(self, state: MicrowaveState, positions: Positions) -> tuple[MicrowaveState, dict[str, Limits]]:

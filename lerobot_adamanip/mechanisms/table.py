@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -60,14 +60,14 @@ class CategoryRules:
     fixed_direction: int | None = None
 
 
-def _turn_to_open(key: str, final: str, success: float) -> Build:
-    def build(obj: ArticulatedObject, p_positive: float, upstream: bool) -> TurnToOpenMechanism:
-        key_range, final_upper = obj.joint(key).limits[1], obj.joint(final).limits[1]
-        return TurnToOpenMechanism(
-            key, final, key_range=key_range, final_upper=final_upper, success=success, p_positive=p_positive
-        )
+def _ranges(obj: ArticulatedObject, key: str, final: str) -> dict[str, float]:
+    return {"key_range": obj.joint(key).limits[1], "final_upper": obj.joint(final).limits[1]}
 
-    return build
+
+def _turn_to_open(key: str, final: str, success: float) -> Build:
+    return lambda obj, p_positive, upstream: TurnToOpenMechanism(
+        key, final, **_ranges(obj, key, final), success=success, p_positive=p_positive
+    )
 
 
 def _safe(obj: ArticulatedObject, p_positive: float, upstream: bool) -> SafeMechanism:
@@ -146,19 +146,9 @@ RULES: Mapping[str, CategoryRules] = {
 
 
 def _row(key: str, final: str, success: float, fractions: tuple[float, float] = TURN_RANGE) -> Composed:
-    def build(obj: ArticulatedObject) -> RowMechanism:
-        opens = obj.joint(final)
-        return RowMechanism(
-            key,
-            final,
-            key_range=obj.joint(key).limits[1],
-            fractions=fractions,
-            final_upper=opens.limits[1],
-            notch=NOTCH[opens.kind],
-            success=success,
-        )
-
-    return build
+    return lambda obj: RowMechanism(
+        key, final, **_ranges(obj, key, final), fractions=fractions, notch=NOTCH[obj.joint(final).kind], success=success
+    )
 
 
 def _changing(
@@ -170,21 +160,16 @@ def _changing(
     *,
     has_directions: bool = True,
 ) -> Composed:
-    def build(obj: ArticulatedObject) -> ChangingMechanism:
-        opens = obj.joint(final)
-        return ChangingMechanism(
-            key,
-            final,
-            key_range=obj.joint(key).limits[1],
-            fractions=fractions,
-            release=release,
-            final_upper=opens.limits[1],
-            play=PLAY[opens.kind],
-            success=success,
-            has_directions=has_directions,
-        )
-
-    return build
+    return lambda obj: ChangingMechanism(
+        key,
+        final,
+        **_ranges(obj, key, final),
+        fractions=fractions,
+        release=release,
+        play=PLAY[obj.joint(final).kind],
+        success=success,
+        has_directions=has_directions,
+    )
 
 
 _TURNED: Mapping[str, tuple[Any, ...]] = {
@@ -205,6 +190,8 @@ COMPOSED: Mapping[str, Mapping[str, Composed]] = {
 }
 """Rules that not every category has: rules -> category -> build. A lamp has no part that opens; the button of a
 microwave moves one way only, and springs back."""
+_UPSTREAM = ("safe",)
+"""Categories in which upstream's code differs from the paper's text; a test compares the mechanisms."""
 
 
 def categories_with(rules: str) -> tuple[str, ...]:
@@ -273,3 +260,24 @@ def infeasible(obj: ArticulatedObject) -> str | None:
             unit = "m" if joint.kind == "prismatic" else "rad"
             return f"joint {name} goes {far:.3g} {unit}, its goal is beyond {goal:.3g} {unit}"
     return None
+
+
+def changed_categories(rules: str) -> tuple[str, ...]:
+    """Returns the categories in which ``rules`` differ from the default ones."""
+    if rules == "upstream":
+        return _UPSTREAM
+    if rules in COMPOSED:
+        return tuple(COMPOSED[rules])
+    return tuple(name for name in RULES if fixed_direction(name, rules) != fixed_direction(name))
+
+
+def unchanged_rules(categories: Iterable[str], rules: str) -> str | None:
+    """Returns a line naming the categories in which ``rules`` change nothing; None if there are none."""
+    changed = changed_categories(rules)
+    same = [name for name in dict.fromkeys(categories) if name not in changed]
+    if rules == DEFAULT_MECHANISM_RULES or not same:
+        return None
+    return (
+        f"The mechanism rules {rules} are the {DEFAULT_MECHANISM_RULES} rules for {', '.join(same)}. "
+        f"They change {', '.join(changed)} only."
+    )

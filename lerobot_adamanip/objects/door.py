@@ -144,10 +144,11 @@ def build_door(object_id: str, design: DoorDesign) -> ArticulatedObject:
     )
     hinge = np.array([0.0, side * (design.shift + half), FLOOR_GAP])
     pivot = np.array([0.0, *design.pivot])
+    plate = plate_shapes(design.handle, *design.pivot, half_width=0.023, half_length=0.105, keyhole=design.keyhole)
     links = (
         Link("frame", _frame_shapes(design, surround, float(hinge[1])), mass=30.0),
         Link(
-            "leaf", leaf_shapes(plan, side) + _furniture(design), mass=5.0, parent="frame",
+            "leaf", leaf_shapes(plan, side) + plate + _extra(design), mass=5.0, parent="frame",
             joint=Joint("leaf", "revolute", (0.0, 0.0, float(side)), tuple(hinge), (0.0, DOOR_UPPER), damping=1.0),
         ),
         handle_link(design.handle, ("lever", "leaf", "lever"), pivot, LEVER_RANGE, damping=0.03),
@@ -181,14 +182,8 @@ def _frame_shapes(design: DoorDesign, surround: Surround, hinge_y: float) -> tup
     return tuple(shapes)
 
 
-def _furniture(design: DoorDesign) -> tuple[Shape, ...]:
-    """Returns plate and keyhole of the handle and other thin decoration, out of the hand's way."""
-    y, z = design.pivot
-    plate = plate_shapes(design.handle, y, z, half_width=0.023, half_length=0.105, keyhole=design.keyhole)
-    return plate + _extra(design)
-
-
 def _extra(design: DoorDesign) -> tuple[Shape, ...]:
+    """Returns thin decoration, out of the hand's way."""
     plan, metal = design.plan, design.handle.metal
     middle, lower = design.on_leaf(plan.width / 2, 0.0)
     if design.extra == "letter slot":

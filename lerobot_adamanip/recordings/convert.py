@@ -25,9 +25,10 @@ from lerobot_adamanip.datasets.statistics import write_statistics
 from lerobot_adamanip.datasets.writing import add_episode_columns, cameras_json, create_dataset
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.features import FRONT_CAMERA, INTERVENTION
-from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode, KeyFrameOptions, choose_key_frames
+from lerobot_adamanip.recordings.keyframe_choice import DenseEpisode, choose_key_frames
 from lerobot_adamanip.recordings.recording import DenseRecording
 from lerobot_adamanip.recordings.rows import RowOptions, camera_record, demonstration_columns
+from lerobot_adamanip.recordings.sparsify import KeyFrameOptions
 from lerobot_adamanip.util import files
 from lerobot_adamanip.util.errors import ConfigurationError, DatasetError
 

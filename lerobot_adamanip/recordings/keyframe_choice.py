@@ -10,10 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
-from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION, Outcome
+from lerobot_adamanip.contract.keyframes import Outcome
 from lerobot_adamanip.contract.rotations import pose_from_vector
 from lerobot_adamanip.hardware.target_geometry import pose_error
-from lerobot_adamanip.recordings.sparsify import DenseTrajectory, SparsifyOptions, distance, sparsify
+from lerobot_adamanip.recordings.sparsify import DenseTrajectory, KeyFrameOptions, distance, sparsify
 from lerobot_adamanip.util.errors import DatasetError
 
 _SHORTEST = 1e-3
@@ -62,19 +62,6 @@ class DenseEpisode:
     def pose(self) -> NDArray[np.float64]:
         """Measured poses (T, 10): position [m], rotation 6D, gripper opening."""
         return self.state[:, : schema.ACTION_DIM].astype(np.float64)
-
-
-@dataclass(frozen=True)
-class KeyFrameOptions(SparsifyOptions):
-    """Thresholds of key frames, including those of `SparsifyOptions`.
-
-    Attributes:
-        reached_position: maximum distance to a reached target [m].
-        reached_rotation: maximum angle to a reached target [rad].
-    """
-
-    reached_position: float = DEFAULT_MOTION.reached_position
-    reached_rotation: float = DEFAULT_MOTION.reached_rotation
 
 
 @dataclass(frozen=True)

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from lerobot_adamanip.contract import schema
+from lerobot_adamanip.contract.keyframes import DEFAULT_MOTION
 from lerobot_adamanip.contract.rotations import matrix_from_rotation_6d
 
 _STANDS, _AWHILE = 1e-3, 3
@@ -25,32 +26,35 @@ class DenseTrajectory:
     Attributes:
         pose: (T, 10) measured pose: position [m], rotation 6D, gripper opening, base frame.
         speed: (T,) measured speed of the tool centre point and a point 0.1 m from it [m/s].
-        command: (T, 10) active goal at each sample; None without goals.
+        command: (T, 10) active goal at each sample.
     """
 
     pose: NDArray[np.float64]
     speed: NDArray[np.float64]
-    command: NDArray[np.float64] | None = None
+    command: NDArray[np.float64]
 
     def take(self, indices: NDArray[np.int64]) -> DenseTrajectory:
         """Returns a trajectory with a subset of the samples."""
-        command = None if self.command is None else self.command[indices]
-        return DenseTrajectory(self.pose[indices], self.speed[indices], command)
+        return DenseTrajectory(self.pose[indices], self.speed[indices], self.command[indices])
 
 
 @dataclass(frozen=True)
-class SparsifyOptions:
+class KeyFrameOptions:
     """Thresholds of key frames.
 
     Attributes:
         stopped: maximum speed of an arm at rest [m/s].
         same_place: maximum distance of poses in one place [m].
         given_up: distance above which a replaced goal counts as abandoned [m].
+        reached_position: maximum distance to a reached target [m].
+        reached_rotation: maximum angle to a reached target [rad].
     """
 
     stopped: float = 0.02
     same_place: float = 0.01
     given_up: float = 0.03
+    reached_position: float = DEFAULT_MOTION.reached_position
+    reached_rotation: float = DEFAULT_MOTION.reached_rotation
 
 
 def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
@@ -61,7 +65,7 @@ def distance(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
     return float(np.linalg.norm(a[schema.POSITION_DIMS] - b[schema.POSITION_DIMS]) + _LEVER * angle)
 
 
-def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None) -> NDArray[np.int64]:
+def sparsify(trajectory: DenseTrajectory, options: KeyFrameOptions | None = None) -> NDArray[np.int64]:
     """Returns the indices of key frames, ascending. Idempotent.
 
     - The first and the last sample are key frames.
@@ -69,7 +73,7 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
     - A gripper change is a key frame at the end of its stay, or at its own sample if the arm is moving.
     - A replaced goal ends a stay.
     """
-    chosen = options or SparsifyOptions()
+    chosen = options or KeyFrameOptions()
     indices: NDArray[np.int64] = np.arange(len(trajectory.pose))
     while True:
         kept = _pass(trajectory.take(indices), chosen)
@@ -78,20 +82,17 @@ def sparsify(trajectory: DenseTrajectory, options: SparsifyOptions | None = None
         indices = indices[kept]
 
 
-def _pass(trajectory: DenseTrajectory, options: SparsifyOptions) -> NDArray[np.int64]:
+def _pass(trajectory: DenseTrajectory, options: KeyFrameOptions) -> NDArray[np.int64]:
     count = len(trajectory.pose)
-    if count == 0:
-        return np.arange(0)
     is_open = trajectory.pose[:, schema.GRIPPER_DIM] > 0.5  # half way: a closed gripper may hold something wide
     stay_end = _stay_ends(trajectory, is_open, options)
     kept = {0, count - 1, *stay_end[stay_end >= 0].tolist()}
     # the end of a stay also covers a gripper change within it
     kept.update(t for t in range(1, count) if is_open[t] != is_open[t - 1] and stay_end[t] < 0)
-    if trajectory.command is not None:
-        given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
-        kept.difference_update(_late_ends(trajectory, given_up, stay_end, is_open, options))
-        kept.update(given_up)
-        _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
+    given_up = _replaced(trajectory.pose, trajectory.command, stay_end, options)
+    kept.difference_update(_late_ends(trajectory, given_up, stay_end, is_open, options))
+    kept.update(given_up)
+    _take_back_beginnings(kept, set(given_up), trajectory, is_open, options)
     return np.array(sorted(kept), dtype=np.int64)
 
 
@@ -100,7 +101,7 @@ def _late_ends(
     given_up: list[int],
     stay_end: NDArray[np.int64],
     is_open: NDArray[np.bool_],
-    options: SparsifyOptions,
+    options: KeyFrameOptions,
 ) -> set[int]:
     """Returns ends of stays after an abandoned goal: the arm starts with a delay or springs back first."""
     pose, late, last = trajectory.pose, set[int](), len(stay_end) - 1
@@ -118,7 +119,7 @@ def _take_back_beginnings(
     given_up: set[int],
     trajectory: DenseTrajectory,
     is_open: NDArray[np.bool_],
-    options: SparsifyOptions,
+    options: KeyFrameOptions,
 ) -> None:
     """Moves key frames at the start of a motion back to the change of goal, or drops them.
 
@@ -126,7 +127,6 @@ def _take_back_beginnings(
     has a key frame, e.g. at a finger change, this one is dropped.
     """
     pose, command, last = trajectory.pose, trajectory.command, len(trajectory.pose) - 1
-    assert command is not None
 
     def changes(t: int) -> bool:
         return distance(command[t], command[t + 1]) > options.given_up
@@ -146,7 +146,7 @@ def _take_back_beginnings(
             kept.discard(end)
 
 
-def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: SparsifyOptions) -> NDArray[np.int64]:
+def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options: KeyFrameOptions) -> NDArray[np.int64]:
     """Returns for each sample (T,) the last sample of its stay; -1 while the arm moves."""
     ends = np.full(len(trajectory.pose), -1, dtype=np.int64)
     start = None
@@ -161,13 +161,13 @@ def _stay_ends(trajectory: DenseTrajectory, is_open: NDArray[np.bool_], options:
 
 
 def _one_place(
-    pose: NDArray[np.float64], is_open: NDArray[np.bool_], one: int, other: int, options: SparsifyOptions
+    pose: NDArray[np.float64], is_open: NDArray[np.bool_], one: int, other: int, options: KeyFrameOptions
 ) -> bool:
     return bool(is_open[one] == is_open[other]) and distance(pose[one], pose[other]) <= options.same_place
 
 
 def _replaced(
-    pose: NDArray[np.float64], command: NDArray[np.float64], stay_end: NDArray[np.int64], options: SparsifyOptions
+    pose: NDArray[np.float64], command: NDArray[np.float64], stay_end: NDArray[np.int64], options: KeyFrameOptions
 ) -> list[int]:
     """Returns the last sample before each change of goal that ends a stay or abandons a distant goal.
 

@@ -6,13 +6,6 @@ from pathlib import Path
 from typing import Any
 
 
-def is_mp4(path: Path) -> bool:
-    """Returns whether a file is empty or begins like an MP4 file."""
-    with open(path, "rb") as file:
-        head = file.read(8)
-    return not head or head[4:] == b"ftyp"
-
-
 def open_mp4(path: Path) -> Any:
     """Returns a PyAV container for reading.
 

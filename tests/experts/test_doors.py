@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 from kinematic import KinematicWorld, adaptive, as_bytes, object_names, run, static
 
 from lerobot_adamanip.experts import Feedback, Outcome, Phase
-from lerobot_adamanip.experts.doors import PULL_ANGLES
+from lerobot_adamanip.experts.turn_to_open import SWING
 
 fast = settings(max_examples=12, deadline=None)
 seeds = st.integers(0, 2**31 - 1)
 directions = st.sampled_from([-1, 1])
 every_door = pytest.mark.parametrize("category", ["safe", "microwave"])
-OPEN = 0.95 * PULL_ANGLES[-1]
+OPEN = 0.95 * SWING[-1]
 
 
 def hidden(category: str, locked: bool, direction: int = 1) -> dict[str, Any]:

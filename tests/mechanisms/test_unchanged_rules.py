@@ -14,7 +14,7 @@ from lerobot_adamanip.mechanisms import (
     categories_with,
     make_mechanism,
 )
-from lerobot_adamanip.mechanisms.unchanged_rules import changed_categories
+from lerobot_adamanip.mechanisms.table import changed_categories
 
 
 def told(mechanism: Mechanism[Any]) -> tuple[type, dict[str, Any]]:

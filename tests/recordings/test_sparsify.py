@@ -34,7 +34,7 @@ def teleoperated(stops: list[tuple[float, float, int]]) -> NDArray[np.float64]:
 def trajectory_of(samples: NDArray[np.float64], command: NDArray[np.float64] | None = None) -> DenseTrajectory:
     """A sample's speed is towards the next one."""
     way = [distance(a, b) for a, b in itertools.pairwise(samples)]
-    return DenseTrajectory(samples, np.array([*way, 0.0]) * RATE, command)
+    return DenseTrajectory(samples, np.array([*way, 0.0]) * RATE, samples if command is None else command)
 
 
 stops = st.lists(

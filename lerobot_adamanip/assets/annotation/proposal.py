@@ -63,7 +63,7 @@ def propose_part(
         link: link of the part; None for the child of its last joint.
     """
     roles, joints = ROLES[annotation.category], annotation.joints
-    link = link or part_link(at_rest.urdf, part, joints, roles.final, roles.key)
+    link = link or part_link(at_rest.urdf, part, joints, roles.final)
     leaders = groups(at_rest.urdf, joints)
     surfaces = [s for name, leader in leaders.items() if leader == leaders[link] for s in at_rest.visuals[name]]
     if at_rest.visuals[link] and link != leaders[link]:

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from lerobot_adamanip.contract.rotations import quaternion_from_matrix, rotation_about, transform
-from lerobot_adamanip.objects.base import ArticulatedObject, Joint, Pose
+from lerobot_adamanip.contract.rotations import quaternion_from_matrix, transform
+from lerobot_adamanip.objects.base import ArticulatedObject, Motion, Pose
 
 HAND = (
     # Centre (tool frame: z approach, y closing), full extents and grey value of a Panda hand with open fingers.
@@ -39,8 +39,9 @@ class ObjectView:
     def move(self, positions: Mapping[str, float]) -> None:
         """Moves the joints [rad or m]. Unnamed joints move to zero."""
         for link in self.obj.links:
-            if link.joint is not None:
-                place(self._frames[link.name], joint_pose(link.joint, positions.get(link.joint.name, 0.0)))
+            if (joint := link.joint) is not None:
+                motion = Motion(joint.name, joint.kind, np.asarray(joint.origin), np.asarray(joint.axis))
+                place(self._frames[link.name], motion.applied(transform(joint.origin), positions.get(joint.name, 0.0)))
 
     def remove(self) -> None:
         """Removes the object from the scene."""
@@ -53,14 +54,6 @@ def add_gripper(server: Any, name: str) -> Any:
     for number, (position, extents, grey) in enumerate(HAND):
         server.scene.add_box(f"{name}/{number}", (grey, grey, grey), extents, position=position, opacity=0.75)
     return frame
-
-
-def joint_pose(joint: Joint, position: float) -> Pose:
-    """Returns the pose (4, 4) of a joint's link in its parent."""
-    if joint.kind == "prismatic":
-        axis = np.asarray(joint.axis) / np.linalg.norm(joint.axis)
-        return transform(np.asarray(joint.origin) + position * axis)
-    return transform(joint.origin, rotation_about(joint.axis, position))
 
 
 def place(handle: Any, pose: Pose) -> None:

@@ -21,12 +21,12 @@ from lerobot_adamanip.datasets.check.statistics import (
 from lerobot_adamanip.datasets.check.videos import check_videos
 from lerobot_adamanip.datasets.dataset import Dataset, Episode
 from lerobot_adamanip.datasets.opening import (
-    INFO,
     OtherFormatError,
     UntrustedValueError,
     conversion_command,
     require_dataset,
 )
+from lerobot_adamanip.datasets.output_folder import INFO
 from lerobot_adamanip.util.errors import DatasetError
 
 CAMERAS = "meta/cameras.json"

@@ -10,7 +10,7 @@ from lerobot_adamanip.contract.cameras import CAMERAS, image_column, is_image_co
 from lerobot_adamanip.contract.memory import MEMORY, memory_feature
 from lerobot_adamanip.datasets.check.findings import Report
 from lerobot_adamanip.datasets.dense import dense_contract, is_dense_collection
-from lerobot_adamanip.datasets.opening import INFO
+from lerobot_adamanip.datasets.output_folder import INFO
 from lerobot_adamanip.hardware.features import is_dense, names_of
 
 OF_LEROBOT: Mapping[str, str] = {

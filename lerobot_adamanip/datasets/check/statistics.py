@@ -110,15 +110,10 @@ def dataset_statistics(dataset: Dataset, stored: Stored) -> Statistics:
         for key, recorded_stats in stored.items()
         if key in dataset.keys_of("video", "image") and set(recorded_stats) >= NEEDED
     }
-    shapes = {
-        name: (-1,) if name == "count" else (-1, 1, 1)
-        for recorded_stats in pictures.values()
-        for name in recorded_stats
-    }
     episodes = [
         {
-            key: {name: each[row].reshape(shapes[name]) for name, each in recorded_stats.items()}
-            for key, recorded_stats in pictures.items()
+            key: {name: each[row].reshape(-1, *(() if name == "count" else (1, 1))) for name, each in own.items()}
+            for key, own in pictures.items()
         }
         for row in range(len(dataset.table) if pictures else 0)
     ]

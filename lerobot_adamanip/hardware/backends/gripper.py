@@ -42,10 +42,8 @@ class FrankyHand:
 
     def _command(self, call: Callable[[], bool]) -> None:
         """Calls the gripper. An empty grasp or a blocked move is not an error: the width shows it."""
-        try:
+        with contextlib.suppress(import_franky().CommandException):
             call()
-        except import_franky().CommandException:
-            return
 
     def opening(self) -> float:
         """Returns the opening: width / maximum width."""

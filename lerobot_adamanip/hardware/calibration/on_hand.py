@@ -16,7 +16,7 @@ from lerobot_adamanip.contract.schema import DEFAULT_NUM_POINTS
 from lerobot_adamanip.hardware.arm import ArmReading
 from lerobot_adamanip.hardware.calibration.hand_shape import franka_hand
 from lerobot_adamanip.hardware.calibration.self_calibration import WARN_M, SelfCalibration
-from lerobot_adamanip.hardware.calibration.views import camera_of
+from lerobot_adamanip.hardware.calibration.views import PICTURE_S, camera_of, observe_after_guiding
 from lerobot_adamanip.hardware.camera_frames import CameraCalibration
 from lerobot_adamanip.hardware.depth_cloud import points_in_base
 from lerobot_adamanip.util.errors import ConfigurationError, RobotError
@@ -25,8 +25,6 @@ MAX_SPEED = 0.05
 """Maximum joint speed of an arm at rest, whose pose is that of the exposure [rad/s]."""
 MIN_POSES = 3
 """Fewest poses of the hand in a calibration."""
-PICTURE_S = 2.0
-"""Maximum wait for a picture [s]."""
 _log = logging.getLogger(__name__)
 
 
@@ -97,7 +95,7 @@ def calibrate_on_hand(robot: Any, key: str, ask: Callable[[], bool], tell: Calla
         raise ConfigurationError(what, got="use_depth=false", allowed="use_depth=true", hint=hint)
     while ask():
         try:
-            _observe(robot)
+            observe_after_guiding(robot)
             depth = camera.frame_after(time.perf_counter(), PICTURE_S).depth
         except RobotError as error:
             tell(str(error))
@@ -116,12 +114,3 @@ def calibrate_on_hand(robot: Any, key: str, ask: Callable[[], bool], tell: Calla
             hint="move the hand through the workspace, its side to the camera",
         )
     return on_hand
-
-
-def _observe(robot: Any) -> None:
-    """Updates the robot's reading. Clears the fault that guiding leaves; raises `RobotError` for others."""
-    try:
-        robot.get_observation()
-    except RobotError:
-        robot.recover()
-        robot.get_observation()

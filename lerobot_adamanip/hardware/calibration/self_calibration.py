@@ -49,6 +49,8 @@ COVERED_M, MIN_COVERED = 0.008, 0.4
 """A hand is seen if points lie this near [m] to this share of its visible surface."""
 WARN_M = 0.005
 """Distance by which a camera must have moved for a warning [m]."""
+CENTER = np.add(DEFAULT_WORKSPACE.lower, DEFAULT_WORKSPACE.upper) / 2
+"""Middle of the workspace (3,), base frame [m], which the prior's rotations leave in place."""
 
 
 @dataclass
@@ -97,27 +99,16 @@ class SelfCalibration:
 
     Attributes:
         shape: surface of the hand.
-        eye: position (3,) of the camera as calibrated, base frame [m]; None if unknown. Then surfaces that face away
-            are fitted too, which is less exact.
-        center: point (3,) that the prior's rotations leave in place, base frame [m]: the middle of the workspace.
+        eye: position (3,) of the camera as calibrated, base frame [m].
         correction: (4, 4) motion of clouds, base frame; the identity until a hand was seen.
-        uncertainty_m: standard deviation of corrected points at ``center`` [m]; infinity until a hand was seen.
-        is_seen: whether the latest cloud showed the hand.
+        uncertainty_m: standard deviation of corrected points at `CENTER` [m]; infinity until a hand was seen.
     """
 
     shape: HandShape
-    eye: Array | None = None
-    center: Array = field(
-        default_factory=lambda: (np.asarray(DEFAULT_WORKSPACE.lower) + np.asarray(DEFAULT_WORKSPACE.upper)) / 2
-    )
+    eye: Array
     correction: Array = field(default_factory=lambda: np.eye(4), init=False)
     uncertainty_m: float = field(default=np.inf, init=False)
-    is_seen: bool = field(default=False, init=False)
     _frames: list[_Frame] = field(default_factory=list, init=False)
-
-    def reset(self) -> None:
-        """Forgets everything: the camera may stand elsewhere. Otherwise the estimate is kept over episodes."""
-        self.correction, self.uncertainty_m, self.is_seen, self._frames = np.eye(4), np.inf, False, []
 
     @property
     def frames(self) -> int:
@@ -127,7 +118,7 @@ class SelfCalibration:
     @property
     def moved_by_m(self) -> float:
         """Distance by which the correction moves the middle of the workspace [m]."""
-        return float(np.linalg.norm(moved(self.center[None], self.correction)[0] - self.center))
+        return float(np.linalg.norm(moved(CENTER[None], self.correction)[0] - CENTER))
 
     def update(self, points: Cloud, tcp_in_base: Array, gripper: float) -> bool:
         """Improves the estimate by one cloud; returns whether it shows the hand. Otherwise nothing changes.
@@ -138,11 +129,10 @@ class SelfCalibration:
             gripper: opening of the gripper [0 closed, 1 open].
         """
         frame = self._frame(np.asarray(points, np.float64), tcp_in_base, gripper)
-        self.is_seen = frame is not None and (
+        return frame is not None and (
             self._accept([*(f for f in self._frames if not _same_pose(f, frame)), frame][-MAX_FRAMES:])
             or (self.frames > 0 and self._accept([frame]))  # the camera has moved: what was seen before is wrong
         )
-        return self.is_seen
 
     def corrected(self, points: Cloud) -> Cloud:
         """Returns points (N, 3) as a calibrated camera would report them."""
@@ -159,10 +149,8 @@ class SelfCalibration:
             return None
         places = np.random.default_rng(0).permutation(places)[:NEAR_POINTS]
         surface, normals = surface @ rotation.T + position, normals @ rotation.T
-        if self.eye is not None:
-            facing = ((self.eye - surface) * normals).sum(1) > 0
-            surface, normals = surface[facing], normals[facing]
-        return _Frame(tcp_in_base, points[places], surface, normals)
+        facing = ((self.eye - surface) * normals).sum(1) > 0
+        return _Frame(tcp_in_base, points[places], surface[facing], normals[facing])
 
     def _accept(self, frames: list[_Frame]) -> bool:
         """Fits all frames, and keeps them with their estimate if the last one shows the hand."""
@@ -187,19 +175,19 @@ class SelfCalibration:
         for gate in gates:
             rows = [_rows(frame, moved(frame.points[:each], correction), gate) for frame in frames]
             errors, arms, normals = (np.concatenate(column) for column in zip(*rows, strict=True))
-            slopes = np.concatenate([normals, np.cross(arms - self.center, normals)], axis=1)
+            slopes = np.concatenate([normals, np.cross(arms - CENTER, normals)], axis=1)
             noise = max(MIN_NOISE_M, SHARED_NOISE * 1.48 * float(np.median(np.abs(errors)))) if len(errors) else 1.0
             weights = 1.0 / (noise**2 * np.maximum(1.0, np.abs(errors) / HUBER_M))
             so_far = np.concatenate(
                 [
-                    moved(self.center[None], correction)[0] - self.center,
+                    moved(CENTER[None], correction)[0] - CENTER,
                     rotation_vector_from_matrix(correction[:3, :3]),
                 ]
             )
             information = (slopes * weights[:, None]).T @ slopes + prior
             step = np.linalg.solve(information, -(slopes.T @ (weights * errors)) - prior @ so_far)
             turn = matrix_from_rotation_vector(step[3:])
-            correction = transform(self.center + step[:3] - turn @ self.center, turn) @ correction
+            correction = transform(CENTER + step[:3] - turn @ CENTER, turn) @ correction
         return correction, information, len(errors)
 
 

@@ -305,9 +305,9 @@ def take_views(
 
     while ask():
         try:
-            before = _pose_after_guiding(robot)
+            before = _tool_pose(observe_after_guiding(robot))
             frame = camera.frame_after(time.perf_counter(), PICTURE_S)
-            after = _tool_pose(robot)
+            after = _tool_pose(robot.get_observation())
         except RobotError as error:
             tell(str(error))
             continue
@@ -326,15 +326,14 @@ def take_views(
     return folder
 
 
-def _pose_after_guiding(robot: Any) -> NDArray[np.float64]:
-    """Returns the tool pose (4, 4) [m]. Clears the fault that guiding leaves; raises `RobotError` for others."""
+def observe_after_guiding(robot: Any) -> Any:
+    """Returns the robot's observation. Clears the fault that guiding leaves; raises `RobotError` for others."""
     try:
-        return _tool_pose(robot)
+        return robot.get_observation()
     except RobotError:
         robot.recover()
-        return _tool_pose(robot)
+        return robot.get_observation()
 
 
-def _tool_pose(robot: Any) -> NDArray[np.float64]:
-    observation = robot.get_observation()
+def _tool_pose(observation: Mapping[str, Any]) -> NDArray[np.float64]:
     return pose_from_vector([observation[name] for name in POSE_NAMES])[0]

@@ -16,12 +16,7 @@ STEEL = Material((0.62, 0.62, 0.63), 0.34, 0.85)
 CHROME = Material((0.80, 0.80, 0.81), 0.18, 0.95)
 _CREAM, _WHITE, _GRAPHITE = (0.80, 0.74, 0.60), (0.80, 0.80, 0.79), (0.07, 0.072, 0.076)
 _INKS = {"green": (0.10, 0.85, 0.35), "blue": (0.20, 0.62, 0.95), "amber": (0.95, 0.55, 0.08), "white": (0.9, 0.9, 0.9)}
-_SEGMENTS = {"0": "abcdef", "1": "bc", "2": "abged", "3": "abgcd", "4": "fgbc", "5": "afgcd"} | {
-    "6": "afgedc",
-    "7": "abc",
-    "8": "abcdefg",
-    "9": "abcdfg",
-}
+_SEGMENTS = ["abcdef", "bc", "abged", "abgcd", "fgbc", "afgcd", "afgedc", "abc", "abcdefg", "abcdfg"]
 
 
 def _paint(color: tuple[float, float, float], roughness: float = 0.45) -> Material:
@@ -166,7 +161,7 @@ def _clock(look: Look, y: float, z: float) -> tuple[Shape, ...]:
     }  # fmt: skip
     shapes = []
     for digit, offset in zip(look.clock, (-0.0185, -0.0075, 0.0075, 0.0185), strict=True):
-        for segment in _SEGMENTS[digit]:
+        for segment in _SEGMENTS[int(digit)]:
             dy, dz, lies = spots[segment]
             half = (0.0004, half_w if lies else line, line if lies else half_h / 2)
             shapes.append(mark((0.0018, y + offset + dy, z + dz), half, ink))

@@ -209,14 +209,10 @@ class TruncatedHead(ToolHead):
         index = draw_anchor(probabilities, choice)
         motion = drawn[torch.arange(len(tool), device=tool.device), index]
         pose = geometry.pose_after(torch.cat([motion[:, :6], motion[:, 6:].clamp(0, 1)], dim=-1), tool)
-        return self._refined(window, index, pose)[:, None]
-
-    def _refined(self, window: Window, index: Tensor, pose: Tensor) -> Tensor:
-        """Returns poses (B, 10), refined where anchors (B,) need it."""
-        if self.refiner is None:
-            return pose
-        needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
-        return self.refiner.refine_where(needed, cloud, pose, self.instruction(window))
+        if self.refiner is not None:
+            needed, cloud = self.motions.needs_refinement(index), window.observations[POINT_CLOUD][:, -1]
+            pose = self.refiner.refine_where(needed, cloud, pose, self.instruction(window))
+        return pose[:, None]
 
     def _noises(self, count: int, noise: Tensor | None, like: Tensor) -> tuple[Tensor, Tensor]:
         """Returns uniform numbers (B,) that select anchors, and Gaussian noise (B, 1, 7), from ``noise``."""
