@@ -111,13 +111,15 @@ def in_memory() -> Iterator[str]:
         yield row(name, (counts(of_training(method, name)) for method in shorter))
     for name in REPORTS["memories"].categories_with_results:
         yield row(name, (cells("memories", kind, name)[0] for kind in ("events", "window", "code", "none")))
-    for title, method in (("without", "diffusion"), ("with `events`", "diffusion_events")):
-        yield row(title, cells("memories", method, *REPORTS["memories"].categories_with_results))
+    for title, end in (("without", ""), ("with `events`", "_events")):
+        for policy in ("act", "diffusion"):
+            yield row(title, cells("memories", f"{policy}{end}", *REPORTS["memories"].categories_with_results))
     yield f"#benchmark-scale-control_rate)): {named('dp3_adaptive_key_frames', *THREE)}."
     yield f"(`--mistakes 0.2`): {named('dp3_adaptive_key_frames_with_mistakes', *THREE[:2])};"
     for title, end in (("without", ""), ("with `events`", "_with_events")):
-        yield row(title, cells("control_rate", f"act_key_frames{end}", *THREE))
         yield row(title, cells("one_object", f"act{end}", *THREE[1:]))
+    for end in ("", "_with_events"):
+        yield f": {named(f'act_key_frames{end}', *THREE)}"
     yield row("without, on demonstrations with mistakes", cells("one_object", "act_on_mistakes", "safe"))
     dense = ("dp3_adaptive", "dp3_adaptive_without_memory", "dp3")
     for name in THREE[1:]:
@@ -334,13 +336,14 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
         values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
         said.append("{:+d} points [{:+d}, {:+d}]".format(*values) + f" better than {name}")
     assert f"Within the tries, events are {listed(said)}." in text
-    diffusion, shown = ("diffusion_events", "diffusion"), []
-    for outcome in (WITHIN_TRIES, OPENED):
-        difference = report.paired(diffusion, report.categories_with_results, "seen", outcome)
-        assert difference is not None
-        values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
-        shown.append("{:+d} points [{:+d}, {:+d}]".format(*values))
-    assert f"Over these, events are {shown[0]} within the tries, and {shown[1]} in success." in text
+    for policy in ("act", "diffusion"):
+        shown = []
+        for outcome in (WITHIN_TRIES, OPENED):
+            difference = report.paired((f"{policy}_events", policy), report.categories_with_results, "seen", outcome)
+            assert difference is not None
+            values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
+            shown.append("{:+d} points [{:+d}, {:+d}]".format(*values))
+        assert f"Over these, events are {shown[0]} within the tries, and {shown[1]} in success." in text
 
 
 @pytest.mark.parametrize(
