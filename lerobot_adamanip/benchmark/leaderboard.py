@@ -55,12 +55,14 @@ DECLARATION = "declaration.toml"
 _NAME = r"[A-Za-z0-9][A-Za-z0-9._-]{0,59}"
 REFERENCE = "dp3_adaptive"
 """Method of `TRACKS` whose scenes an entry is evaluated in."""
-RULE = f"""The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions are in it.
+RULE = f"""An entry is a pull request that adds the folder `results/leaderboard/NAME/`: a declaration, and a result
+file of each cell. The numbers are self-reported: a file cannot prove how it was made. Commands, commits and versions
+are in it.
 
-An entry is a folder, by pull request to `results/leaderboard/NAME/`: a declaration, and a result file of each cell.
-Copy `lerobot_adamanip/benchmark/tracks.toml` to `results/leaderboard/NAME/{DECLARATION}` and add a table
-`[methods.mine]` with `scales = [{", ".join(f'"{name}"' for name in SCALES)}]` ([fields](benchmark.md#the-declaration)).
-In a checkout without changes:
+1. Copy `lerobot_adamanip/benchmark/tracks.toml` to `results/leaderboard/NAME/{DECLARATION}`.
+2. Add a table `[methods.mine]` with `scales = [{", ".join(f'"{name}"' for name in SCALES)}]`
+   ([fields](benchmark.md#the-declaration)).
+3. In a checkout without changes, run:
 
 ```bash
 for scale in {" ".join(SCALES)}; do
@@ -71,13 +73,16 @@ done
 python scripts/make_results.py # writes this page; refuses entries with missing cells or changed scenes
 ```
 
-A method may choose its control, observations, memory, and whether the camera calibrates itself, not its scenes.
-It may use pretrained weights, data of your own, a teacher that sees the hidden state, or a checkpoint on the Hub
-instead of a training. Say so in `learns_from`. It may not learn from unseen or novel objects, and you may not choose
-it by these scenes. The policy may not read the simulator.
+Rules:
 
-`python scripts/check_entry.py results/leaderboard/NAME --evaluate` trains and evaluates an entry again, or evaluates
-its checkpoint, and compares each cell.
+- A method may choose its control, observations, memory, and whether the camera calibrates itself, but not its scenes.
+- It may use pretrained weights, data of your own, a teacher that sees the hidden state, or a checkpoint on the Hub
+  instead of a training. Say so in `learns_from`.
+- It may not learn from unseen or novel objects, and you may not choose it by these scenes.
+- The policy may not read the simulator.
+
+To verify an entry, `python scripts/check_entry.py results/leaderboard/NAME --evaluate` trains and evaluates it again,
+or evaluates its checkpoint, and compares each cell.
 """
 
 
@@ -280,7 +285,8 @@ def leaderboard_page(entries: Mapping[str, LeaderboardEntry]) -> str:
         for name, (version, _, cells) in ranked
     ]
     table = markdown_table(titles, lines) if lines else "No entry yet."
-    explanation = f"""Opened {METRICS["within_best_tries"].title.removeprefix("opened ")}, means over the categories of
-three [tracks](tracks.md), `real_sensors` on unseen and on novel objects; the mean of the four decides the order.
-Entries of an earlier simulation version are named with it and come last: their scenes are others."""
-    return f"# Leaderboard\n\n{table}\n\n{explanation}\n\n## To enter\n\n{RULE}"
+    explanation = f"""Methods compared on three [tracks](tracks.md). The column of a track is the share of episodes
+{METRICS["within_best_tries"].title}, a mean over its categories.
+`real_sensors` has a column for unseen and one for novel objects. The mean of the four decides the order.
+Entries of an earlier simulation version come last and are marked: their scenes differ."""
+    return f"# Leaderboard\n\n{explanation}\n\n{table}\n\n## To enter\n\n{RULE}"
