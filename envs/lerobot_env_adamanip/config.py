@@ -102,7 +102,7 @@ class AdaManipEnvConfig(EnvConfig):
     split: str = "validation"
     # Also accept a policy that was trained on other categories.
     other_categories: bool = False
-    # Source of point clouds: raycast (no renderer), or render (seven times slower). The clouds are equal above the
+    # Source of point clouds: raycast (no renderer), or render (six times slower). The clouds are equal above the
     # ground, which ray-cast ones do not have.
     cloud_source: str = "raycast"
     # Errors of sensors: exact, d435 (a calibrated D435), rough, or one of them with single parts changed, for instance

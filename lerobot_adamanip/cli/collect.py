@@ -109,7 +109,7 @@ class CollectCommand:
     """Record no pictures; `adamanip render` adds them later."""
 
     cloud_source: Literal["raycast", "render"] = "raycast"
-    """Source of point clouds. raycast: ray casting. render: the renderer, seven times slower, with equal clouds."""
+    """Source of point clouds. raycast: ray casting. render: the renderer, six times slower, with equal clouds."""
 
     poses: Literal["randomized", "fixed"] = "randomized"
     """Poses of object, robot and camera. randomized: drawn. fixed: nominal, as in upstream's code."""

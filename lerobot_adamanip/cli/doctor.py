@@ -181,7 +181,7 @@ def run_probe(module: str) -> tuple[bool, str]:
 
 def check_clouds() -> CheckResult:
     """Checks that a ray hits a triangle. Ray-cast clouds need no Vulkan device."""
-    advice = f"{INSTALL_SIM}. Without embreex clouds are rendered, seven times slower and by a Vulkan device only"
+    advice = f"{INSTALL_SIM}. Without embreex clouds are rendered, six times slower and by a Vulkan device only"
     try:
         import numpy as np
         from embreex.mesh_construction import TriangleMesh

@@ -25,7 +25,7 @@ POSES = ("randomized", "fixed")
 RENDER_BACKENDS = ("auto", "cuda", "cpu")
 """``auto``: the first of the other two that works on this machine."""
 CLOUD_SOURCES = ("raycast", "render")
-"""``raycast``: by embreex, no renderer needed, without the ground; ``render``: by the renderer, seven times slower."""
+"""``raycast``: by embreex, no renderer needed, without the ground; ``render``: by the renderer, six times slower."""
 RAYCAST, RENDER = "raycast", "render"
 IMAGE_SOURCES = (RAYCAST, RENDER)
 """``raycast``: coloured images by ray casting, on any machine; ``render``: by the renderer, which needs Vulkan."""

@@ -51,7 +51,7 @@ def resolve_cloud_source(wanted: str) -> str:
     """Returns ``raycast`` or ``render``; falls back to ``render`` if embreex is not installed."""
     require_choice("source of clouds", wanted, CLOUD_SOURCES)
     if wanted == "raycast" and importlib.util.find_spec("embreex") is None:
-        _warn_once("embreex is not installed, so clouds are rendered, some seven times slower: pip install embreex")
+        _warn_once("embreex is not installed, so clouds are rendered, some six times slower: pip install embreex")
         return "render"
     return wanted
 
