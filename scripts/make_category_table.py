@@ -19,8 +19,11 @@ CATEGORIES_PAGE, RULES_PAGE = ROOT / "docs" / "categories.md", ROOT / "docs" / "
 GENERATED = "Generated from the code by `python scripts/make_category_table.py`; a test compares the two."
 INTRODUCTION = f"""# Categories
 
-{GENERATED} Object counts are those of the paper's Table 1;
-success thresholds are those of its released code. Rules and the paper's wording: [mechanism rules](mechanism_rules.md).
+What the objects of each category hide, when they count as open, and how the experts open them. {GENERATED}
+
+- Object counts are those of the paper's Table 1.
+- Success thresholds are those of the paper's released code.
+- Rules and the paper's wording: [mechanism rules](mechanism_rules.md).
 
 ![Four of the seen objects of each category](images/objects.png)
 
@@ -55,10 +58,18 @@ def _success(objects: list[ArticulatedObject]) -> str:
 def _mechanisms() -> list[str]:
     tables = [
         "## What opens each object?\n",
+        "An episode succeeds when a joint of the last column is beyond its threshold. The hidden state is drawn for "
+        "each episode. A span such as 12 ... 16 mm covers the seen objects.\n",
         "| category | seen objects | joints | hidden state | success |",
         "|---|---|---|---|---|",
     ]
-    draws = ["\n## What is drawn for an episode?\n", "| category | draw | threshold |", "|---|---|---|"]
+    draws = [
+        "\n## What is drawn for an episode?\n",
+        f"These are the draws of the default rules, `{DEFAULT_MECHANISM_RULES}`. *Its range* is the range that was "
+        "drawn.\n",
+        "| category | draw | threshold |",
+        "|---|---|---|",
+    ]
     for name, category in CATEGORIES.items():
         objects = [make_object(object_id(name, number)) for number in range(category.seen)]
         mechanism = make_mechanism(objects[0])
@@ -72,9 +83,12 @@ def _mechanisms() -> list[str]:
 def _rules() -> str:
     """Returns the page of rule sets: their differences, and the paper's sentences behind `paper`."""
     names = tuple(name for name in MECHANISM_RULES if name not in COMPOSED)
-    lines = [f"# Mechanism rules\n\n{GENERATED}\n"]
+    lines = [
+        "# Mechanism rules\n\nMechanism rules decide what is hidden in an episode, and what frees the part that opens. "
+        f"{GENERATED}\n"
+    ]
     lines += [
-        "Choose with `--env.mechanism_rules`, in `adamanip collect` with `--mechanism-rules`.\n",
+        "Choose them with `--env.mechanism_rules`; in `adamanip collect`, with `--mechanism-rules`.\n",
         "| rules | source |",
         "|---|---|",
     ]
@@ -84,8 +98,8 @@ def _rules() -> str:
     ]
     lines.append("\n## Where do they differ?\n")
     lines.append(
-        "`paper`, `upstream` and `hard` exist for every category. In the categories that are missing here, they are "
-        "equal: `hard` makes nothing harder there. `collect` says so.\n"
+        "`paper`, `upstream` and `hard` exist for every category. The table has the categories in which they differ. "
+        "In the others they are equal, and `collect` says so.\n"
     )
     lines += [f"| category | what | {' | '.join(f'`{name}`' for name in names)} |", "|---|---|" + "---|" * len(names)]
     for category in CATEGORIES:
@@ -98,6 +112,7 @@ def _rules() -> str:
     lines += [
         *_composed(),
         "\n## What does the paper say?\n",
+        "`paper` follows these quotations. The last column is how they were understood.\n",
         "| category | quotation | so `paper` is |",
         "|---|---|---|",
     ]
@@ -109,8 +124,8 @@ def _composed() -> list[str]:
     """Returns the section of the rules that only some categories have."""
     lines = [
         "\n## Which rules do some categories have?\n",
-        "`row` and `changing` are rules of the [tracks](tracks.md), for categories with a part that is turned or "
-        "pressed and another that opens. For the others there is an error that lists those that have them.\n",
+        "`row` and `changing` are rules of the [tracks](tracks.md). They exist for categories with a part that is "
+        "turned or pressed and another that opens. For any other category, the error lists those that have them.\n",
     ]
     for rules in COMPOSED:
         said = make_mechanism(make_object(object_id("door", 0)), rules).rules()
@@ -131,6 +146,7 @@ def _composed() -> list[str]:
 def _experts() -> list[str]:
     lines = [
         "\n## What does the adaptive expert do?\n",
+        "It opens by trial and error, without the hidden state.\n",
         "| category | `--env.type` | task | adaptive expert |",
         "|---|---|---|---|",
     ]
@@ -138,14 +154,18 @@ def _experts() -> list[str]:
         cells = (f'<a id="{name}"></a>`{name}`', f"`adamanip_{name}`", category.instruction, EXPERTS[name].sequence)
         lines.append(f"| {' | '.join(cells)} |")
     lines.append(
-        "\nIf the rules fix the direction, the adaptive expert knows it and turns that way first. The static expert "
-        "sees the hidden state: it turns just far enough, at safes and lamps to the stop, and uses the key only if "
-        "needed. Both go on past success: doors to 42°, lids to 40 mm.\n\n"
+        "\n- If the rules fix the direction, the adaptive expert knows it and turns that way first.\n"
+        "- The static expert sees the hidden state. It turns just far enough, at safes and lamps to the stop. It works "
+        "the key (the part that frees the other) only if needed.\n"
+        "- Both continue past success: doors to 42°, lids to 40 mm.\n\n"
         "## When does the adaptive expert try to open?\n"
     )
     lines.append(
-        "How far a part must turn is hidden. `--expert-strategy` of `adamanip collect` says when the expert tries to "
-        "open: as in the paper, as in its code, or at the felt stop, which wastes the fewest tries.\n"
+        "How far a part must turn is hidden. `--expert-strategy` of `adamanip collect` chooses when the adaptive "
+        "expert tries to open:\n\n"
+        "- `paper` (default): as in the paper;\n"
+        "- `upstream`: as in the paper's released code;\n"
+        "- `to_stop`: at the felt stop, which wastes the fewest tries.\n"
     )
     lines += ["| category | `paper` | `upstream` | `to_stop` |", "|---|---|---|---|"]
     for name, expert in EXPERTS.items():
