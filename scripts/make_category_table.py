@@ -165,7 +165,8 @@ def _experts() -> list[str]:
         "expert tries to open:\n\n"
         "- `paper` (default): as in the paper;\n"
         "- `upstream`: as in the paper's released code;\n"
-        "- `to_stop`: at the felt stop, or at an angle that frees the part in every episode. It wastes the fewest tries.\n"
+        "- `to_stop`: at the felt stop, or at an angle that frees the part in every episode. It wastes the fewest "
+        "tries.\n"
     )
     lines += ["| category | `paper` | `upstream` | `to_stop` |", "|---|---|---|---|"]
     for name, expert in EXPERTS.items():

@@ -114,6 +114,10 @@ def in_memory() -> Iterator[str]:
     for title, end in (("without", ""), ("with `events`", "_events")):
         for policy in ("act", "diffusion"):
             yield row(title, cells("memories", f"{policy}{end}", *REPORTS["memories"].categories_with_results))
+    two = cells("memories", "diffusion_window", *REPORTS["memories"].categories_with_results)
+    yield row("two observations (`n_obs_steps=2`)", two)
+    paper = (cells("memories", f"diffusion_of_paper{end}", "window")[0] for end in ("_events", ""))
+    yield "events harm windows no longer: {} with, {} without.".format(*paper)
     yield f"#benchmark-scale-control_rate)): {named('dp3_adaptive_key_frames', *THREE)}."
     yield f"(`--mistakes 0.2`): {named('dp3_adaptive_key_frames_with_mistakes', *THREE[:2])};"
     for title, end in (("without", ""), ("with `events`", "_with_events")):
@@ -336,14 +340,23 @@ def test_kinds_of_memory_are_compared_as_said() -> None:
         values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
         said.append("{:+d} points [{:+d}, {:+d}]".format(*values) + f" better than {name}")
     assert f"Within the tries, events are {listed(said)}." in text
-    for policy in ("act", "diffusion"):
+    for policy, memory, words in (
+        ("act", "act_events", "Over these, events are {} within the tries, and {} in success."),
+        ("diffusion", "diffusion_events", "Over these, events are {} within the tries, and {} in success."),
+        ("diffusion", "diffusion_window", "Two observations are {} within the tries, and {} in success."),
+        ("diffusion_window", "diffusion_events", "Events instead of two observations are {} within the tries, and {}"),
+    ):
         shown = []
         for outcome in (WITHIN_TRIES, OPENED):
-            difference = report.paired((f"{policy}_events", policy), report.categories_with_results, "seen", outcome)
+            difference = report.paired((memory, policy), report.categories_with_results, "seen", outcome)
             assert difference is not None
             values = (round(100 * each) for each in (difference.difference, difference.low, difference.high))
             shown.append("{:+d} points [{:+d}, {:+d}]".format(*values))
-        assert f"Over these, events are {shown[0]} within the tries, and {shown[1]} in success." in text
+        assert words.format(*shown) in text
+    ends = [report.entries["diffusion_events", name, "seen"].metrics.failures for name in ("window", "door")]
+    shut = [(sum(each.values()), each["key moved"]) for each in ends if each]
+    said = "Of {} windows left shut, the handle has moved at {}, of {} doors at {}."
+    assert said.format(*shut[0], *shut[1]) in text
 
 
 @pytest.mark.parametrize(
