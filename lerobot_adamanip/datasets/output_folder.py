@@ -113,7 +113,8 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
             foreign files.
     """
     output = OutputFolder(resolve_output(target), suffix)
-    _require_outside_datasets(output.root)
+    with _clear_errors(output.root):
+        _require_outside_datasets(output.root)
     missing = [folder for folder in output.root.parents if not folder.exists()]
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, missing)

@@ -79,6 +79,7 @@ def test_every_command_refuses_before_any_work(
     with monkeypatch.context() as patch:
         patch.setattr(demos_fake_env, "make_env", lambda *_, **__: pytest.fail("an environment was made"))
         assert "cannot be written there" in refuses(DatasetError, lambda: run(tmp_path / "file" / "dataset"))
+        assert "cannot be written there" in refuses(DatasetError, lambda: run(tmp_path / ("n" * 300) / "dataset"))
         assert "lies in a dataset" in refuses(DatasetError, lambda: run(other / "new" / "dataset"))
     if command != "keyframes":  # its source has to be a recording
         usage = namedtuple("usage", "total used free")
