@@ -113,8 +113,7 @@ def owned_output(target: str | Path, suffix: str) -> Iterator[OutputFolder]:
             foreign files.
     """
     output = OutputFolder(resolve_output(target), suffix)
-    with _clear_errors(output.root):
-        _require_outside_datasets(output.root)
+    _require_outside_datasets(output.root)
     missing = [folder for folder in output.root.parents if not folder.exists()]
     with contextlib.ExitStack() as stack:
         stack.callback(_remove_empty, missing)
@@ -151,6 +150,7 @@ def resolve_output(target: str | Path) -> Path:
     """Returns the resolved folder of a path, without links and ``..``; raises `DatasetError`."""
     try:
         root = Path(target).expanduser().resolve()
+        root.exists()  # raises OSError for a name that is too long, and a folder that may not be looked into
     except (OSError, RuntimeError) as error:
         raise _unwritable(target, error) from error
     if not root.name:
