@@ -35,7 +35,9 @@ TRACKS, RECIPE, KINDS = (
 
 MEMORY_OPTIONS = {
     "--policy.memory_kind", "--policy.n_action_history_steps", "--policy.n_obs_steps", "--memory", "--env.memory",
+    "--policy.drop_n_last_frames",
 }  # fmt: skip
+"""The last: rows that a diffusion policy does not learn from, which depend on its number of observations."""
 PRODUCTS = {
     "--policy.input_features", "--policy.path", "--output_dir", "--env.episode_log", "--dataset.root",
     "--dataset.repo_id",
@@ -189,7 +191,7 @@ def test_a_whole_environment_decides_the_scenes() -> None:
 
 def test_kinds_of_memory_differ_in_nothing_else() -> None:
     """Equal demonstrations, steps and scenes; a training differs in the kind of memory alone."""
-    assert {KINDS.methods[name].policy for name in KINDS.methods} == {"dp3_adaptive", "diffusion"}
+    assert {KINDS.methods[name].policy for name in KINDS.methods} == {"dp3_adaptive", "diffusion", "act"}
     for effect in KINDS.effects:
         left, right = (
             plan(Cell(method=name, category="safe", objects="seen", seed=1000), KINDS, "memories", VERSIONS)
